@@ -12,6 +12,7 @@ JUMPS = 16  # largest number of jumps
 ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
 LEAST_CONTACT = 2e-3  # of the peak: smallest signal that counts as contact, even if noise is unknown or smaller
 STEEPER = 4.0  # least ratio of the slope of a jump to that of the signal on either side
+AROUND = 4  # samples on either side whose median slope counts, too
 LEAST_JUMP = 0.02  # of the peak
 BEFORE = 5  # widths of a jump over which the steep signal before it may look like another jump
 LARGER = 2.0  # least ratio of such a jump to one before it that is discarded
@@ -155,7 +156,9 @@ def _jumps_of(travel: np.ndarray, signal: np.ndarray, noise: np.ndarray) -> list
         return []
     size, gap = np.abs(np.diff(signal[known])), np.diff(travel[known])
     slope = np.where(gap > 0, size / np.where(gap > 0, gap, 1.0), 0.0)
-    beside = np.maximum(np.append(0.0, slope[:-1]), np.append(slope[1:], 0.0))
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(slope, AROUND), 2 * AROUND + 1)
+    # Noise may make both slopes beside a steep one small, but not most of those around it.
+    beside = np.max([np.append(0.0, slope[:-1]), np.append(slope[1:], 0.0), np.median(around, axis=1)], axis=0)
     loud = size > np.maximum(6 * np.sqrt(2) * noise[known[1:]], LEAST_JUMP)
     at = np.flatnonzero(loud & (slope > STEEPER * beside))
     return [(float(travel[known[k]]), float(travel[known[k + 1]]), float(size[k])) for k in at]

@@ -10,7 +10,7 @@ from jaxwhisker._model.along import AlongWhisker, Polynomial, RoundMass, RoundSe
 
 FIT_STEPS = 12  # of Levenberg-Marquardt, each with derivatives by differences
 MOST_DEGREE = 5  # of the curvature of a digitised shape
-MARGIN = 2.0  # standard deviations by which the sum of squared residuals may exceed its mean
+LEAST_CHANCE = 1e-3  # of the residuals of a shape that is accepted, if the error is that of the points
 INTEGRAL_DEGREE = 48  # of Chebyshev polynomials of a shape: exact to rounding where it turns by less than pi
 FEET_STEPS = 4  # of Newton's method for the nearest points of a shape
 OUTSIDE = 0.1  # of the length: how far the nearest points may lie beyond the ends of the chord
@@ -123,11 +123,9 @@ class Measured(eqx.Module):
         checks.vector("x", x)
         checks.vector("y", y)
         checks.number("error", error, positive=True)
-        points = np.stack(np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float)), axis=1)
-        if np.shape(x) != np.shape(y) or points.shape[0] < 3:
-            checks.fail(
-                "y", "an array of the length of `x`, at least 3", f"{np.shape(y)[0]} and {np.shape(x)[0]} values"
-            )
+        if np.shape(x) != np.shape(y) or np.size(x) < 3:
+            checks.fail("y", "an array of the length of `x`, at least 3", f"{np.size(y)} and {np.size(x)} values")
+        points = np.stack([np.asarray(x, dtype=float), np.asarray(y, dtype=float)], axis=1)
         length, curvature = _fitted(points, float(error))
         return cls(length, bending_stiffness, curvature, mass_per_length=mass_per_length)
 
@@ -166,6 +164,7 @@ def _simple(value: Any) -> Any:
 def _fitted(points: np.ndarray, error: float) -> tuple[float, Any]:
     """Length and intrinsic curvature of the smoothest shape that passes the points within their error."""
     from scipy.optimize import least_squares  # scipy is loaded with the first digitised whisker
+    from scipy.special import chdtrc
 
     steps = np.hypot(*np.diff(points, axis=0).T)
     chord, along = points[-1] - points[0], np.concatenate([[0.0], np.cumsum(steps)])
@@ -184,8 +183,7 @@ def _fitted(points: np.ndarray, error: float) -> tuple[float, Any]:
         )
         start = solved.x
         off, feet = _distances(start, places, along)
-        # The sum of squares of normal residuals has the mean `free` and the variance 2 free.
-        if np.sum((off * scale / error) ** 2) <= free + MARGIN * np.sqrt(2 * free):
+        if chdtrc(free, np.sum((off * scale / error) ** 2)) >= LEAST_CHANCE:
             return _curvature(start[2:], feet[0], feet[-1], scale)
     rms = scale * np.sqrt(np.mean(off**2))
     checks.fail("error", f"at least the distances of the points from a smooth shape (about {rms:.2g})", error)

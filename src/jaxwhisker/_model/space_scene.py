@@ -36,7 +36,7 @@ class SpaceScene(AbstractScene):
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
-        friction: Coulomb friction coefficient mu between whiskers and object, positive. Default: no friction.
+        friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support
@@ -66,7 +66,7 @@ class SpaceScene(AbstractScene):
         check_whiskers(self.whisker, self.support)
         self.support.check_in_space()
         if self.friction is not None:
-            checks.number("friction", self.friction, positive=True)
+            checks.number("friction", self.friction, non_negative=True)
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
             checks.fail(
@@ -83,7 +83,7 @@ class SpaceScene(AbstractScene):
         """Whether traced parameters are in the domains that the constructors check."""
         valid = self.surface.valid() & self.support.valid() & self.motion.valid()
         if self.friction is not None:
-            valid &= (self.friction > 0) & jnp.isfinite(self.friction)
+            valid &= (self.friction >= 0) & jnp.isfinite(self.friction)
         return valid & jnp.all(jnp.stack([whisker.valid() for whisker in self.whiskers]))
 
     def __str__(self) -> str:

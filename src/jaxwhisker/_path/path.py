@@ -4,12 +4,15 @@ A path is a sequence of nodes: exact equilibria in the order in which the drive 
 path before and after each. Every corner of the path (an event, a turning point of the drive) is a node.
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Contacts, Point
@@ -106,8 +109,29 @@ def first_case(*cases, otherwise):
 
 
 def event_room(whiskers: int) -> int:
-    """Number of events that a scan has room for; a path has more nodes."""
+    """Number of events that a scan has room for, unless it is known to have more; a path has more nodes."""
     return 32 + 16 * whiskers
+
+
+def room_for(nodes: Any, count: Array, usual: int) -> tuple[int, ...]:
+    """More room for events than usual, in powers of two, if a path that is known needs it; else nothing."""
+    if checks.is_traced((nodes, count)):
+        return ()
+    most = int(np.sum(np.asarray(nodes.kind)[: int(count)] != NO_EVENT))  # stops among them
+    return () if most <= usual else (usual * 2 ** math.ceil(math.log2(most / usual)),)
+
+
+def first_and_last(public: Bool[Array, " nodes"], size: int) -> Int[Array, " events"]:
+    """Indices of the events among nodes, in the order of the path: of too many, the first half and the last."""
+    number, count = jnp.cumsum(public) - 1, jnp.sum(public)
+    kept = public & (entry_of(number, count, size) >= 0)
+    return jnp.nonzero(kept, size=size, fill_value=0)[0]
+
+
+def entry_of(number: Int[Array, " nodes"], count: Int[Array, ""], size: int) -> Int[Array, " nodes"]:
+    """Entries of events in arrays with room for so many, from their numbers among all; -1 for those left out."""
+    late = number - jnp.maximum(count - size, 0)
+    return jnp.where(number < size // 2, number, jnp.where(late >= size // 2, late, -1))
 
 
 def cut(path: Path, place: Scalar, status: Int[Array, ""]) -> Path:

@@ -18,7 +18,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.path import NO_EVENT, STOP, Path, event_room, is_snap
+from jaxwhisker._path.path import NO_EVENT, STOP, Path, entry_of, is_snap
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
@@ -59,7 +59,7 @@ class Ends(NamedTuple):
 def ends_of(problem: Problem, path: Path) -> Ends:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
-    room, n = nodes.whiskers.shape
+    room = nodes.kind.shape[0]
     control = jnp.asarray(nodes.point.u)
     index, last = jnp.arange(room), jnp.maximum(path.count - 1, 0)
     reached = (jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0) & (index < path.count)
@@ -71,7 +71,6 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     public = reached & (nodes.kind >= 0)
     number = jnp.where(public, jnp.cumsum(public) - 1, -1)
     number = jnp.where((number < 0) & first, number[follows], number)
-    number = jnp.where(number < event_room(n), number, -1)
     is_stop = reached & (nodes.kind == STOP)
     stop = jnp.where(is_stop, jnp.cumsum(is_stop) - 1, -1)
 
@@ -131,8 +130,9 @@ def with_slopes(
 ) -> Float[Array, " ends"]:
     """Controls of the ends, with their derivatives: events and stops move, other nodes stay where they are."""
     control = jnp.asarray(path.nodes.point.u)[ends.node] * problem.unit.control
-    event = events.control[jnp.maximum(ends.event, 0)]
-    known = (ends.event >= 0) & jnp.isfinite(event)
+    entry = entry_of(ends.event, events.count, events.control.shape[0])
+    event = events.control[jnp.maximum(entry, 0)]
+    known = (ends.event >= 0) & (entry >= 0) & jnp.isfinite(event)
     control = jnp.where(known, event, control)
     stop = jnp.asarray(stops)[jnp.maximum(ends.stop, 0)]
     control = jnp.where(ends.stop >= 0, stop, control)

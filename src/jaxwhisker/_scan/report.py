@@ -114,7 +114,9 @@ def timed_event_table(motion: Any, units: str = "auto") -> str:
 def _with_omitted(result: Any, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of events, and a line that says how many are missing in it."""
     count, shown = int(result.events.count), len(result.events)
-    missing = f"\nOnly the first {shown:,} of {count:,} events fit into the result." if count > shown else ""
+    missing = (
+        f"\nOnly {shown:,} of {count:,} events fit into the result, the first and the last." if count > shown else ""
+    )
     return (table(header, rows) if rows else "No events.") + missing
 
 

@@ -49,8 +49,9 @@ class Event(NamedTuple):
 class Events(eqx.Module):
     """The events of a scan in order: arrays of fixed size, of which the first `count` are filled.
 
-    Iteration and indexing (outside jit and vmap) yield `Event` objects. A scan may have more events than there is room
-    for: `count` includes them, and `truncated` is then True.
+    Iteration and indexing (outside jit and vmap) yield `Event` objects. Within `jit`, `vmap` and derivatives, a scan may
+    have more events than there is room for: then `truncated` is True, the first and the last are kept, and `count`
+    includes all. Otherwise there is room for all.
 
     Raises:
         TypeError: on iteration, indexing or `len`, if these are the events of a batch of scans.
@@ -67,7 +68,7 @@ class Events(eqx.Module):
     @property
     @in_double
     def truncated(self) -> Bool[Array, ""]:
-        """Whether the scan has more events than there is room for; the first ones are kept."""
+        """Whether the scan has more events than there is room for; the first and the last are kept."""
         return self.count > self.kind.shape[-1]
 
     def __len__(self) -> int:
@@ -134,7 +135,7 @@ class AbstractResult(eqx.Module):
         )
         lines = [str(self.scene), steps]
         if self.events.truncated:
-            lines += [f"the first {len(self.events)} of {int(self.events.count)} events"]
+            lines += [f"the first and last of {int(self.events.count)} events"]
         return "\n".join([*lines, *map(str, self.events)])
 
     __repr__ = __str__

@@ -30,7 +30,7 @@ from jaxwhisker._model.scene import AbstractScene, Scene, moves_along_x
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.gains import without_gains
 from jaxwhisker._path.march import capacity_of, march
-from jaxwhisker._path.path import Path, Status
+from jaxwhisker._path.path import Path, Status, event_room, room_for
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
 from jaxwhisker._scan.memory import remembered
@@ -307,13 +307,13 @@ def _result(
     status: Int[Array, " steps"],
     lengths: Float[Array, "steps springs"],
 ) -> Result:
-    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
+    fields, n = {name: getattr(state, name) for name in State.__dataclass_fields__}, len(scene.whiskers)
     return Result(
         **fields,
         control=control,
         spring_length=_of_springs(scene, lengths),
         status=status,
-        deferred_events=lambda: events_now(problem, path),
+        deferred_events=lambda: events_now(problem, path, *room_for(path.nodes, path.count, event_room(n))),
         scene=scene,
     )
 

@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_con
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
 from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, event_room, is_snap, select
+from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, event_room, first_and_last, is_snap, select
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.state import State
 
@@ -222,15 +222,17 @@ class EventNodes(NamedTuple):
     count: Int[Array, ""]  # of all events, also of those for which there is no room
 
 
-def event_nodes(path: Path) -> EventNodes:
-    """The events among the nodes from where the drive has reached the first position of the control."""
+def event_nodes(path: Path, room: int | None = None) -> EventNodes:
+    """The events among the nodes from where the drive has reached the first position of the control.
+
+    Of more events than there is room for, the first and the last are kept.
+    """
     nodes = path.nodes
-    room, n = nodes.whiskers.shape
-    index = jnp.arange(room)
+    index = jnp.arange(nodes.kind.shape[0])
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
     public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = event_room(n)
-    at = jnp.nonzero(public, size=size, fill_value=0)[0]
+    size = event_room(nodes.whiskers.shape[1]) if room is None else room
+    at = first_and_last(public, size)
     count = jnp.sum(public)
     filled = jnp.arange(size) < count
     empty = jax.tree.map(lambda leaf: leaf[0], nodes)
@@ -243,9 +245,9 @@ def event_nodes(path: Path) -> EventNodes:
     return EventNodes(node, previous, filled, at, count)
 
 
-def events(problem: Problem, path: Path) -> Events:
+def events(problem: Problem, path: Path, room: int | None = None) -> Events:
     """The events among the nodes from where the drive has reached the first position of the control."""
-    node, previous, filled, _, count = event_nodes(path)
+    node, previous, filled, _, count = event_nodes(path, room)
     size = filled.shape[0]
     points, states = jax.vmap(partial(_points_at_event, problem))(node, previous)
     # With both sides in one batch, the rods are compiled only once.

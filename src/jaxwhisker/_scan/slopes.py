@@ -50,9 +50,9 @@ def chain_slopes(path: Path, problem: Problem, stops: Float[Array, " stops"]):
     return jacobian(function, (problem.numbers(), stops))
 
 
-def event_slopes(problem: Problem, path: Path) -> Events:
+def event_slopes(problem: Problem, path: Path, room: int | None = None) -> Events:
     """Slopes of all fields of the events with respect to the numbers of the problem."""
-    return jacobian(lambda numbers: events(eqx.combine(numbers, problem), path), problem.numbers())
+    return jacobian(lambda numbers: events(eqx.combine(numbers, problem), path, room), problem.numbers())
 
 
 def spring_slopes(
@@ -115,8 +115,8 @@ def spring_tangents(args, args_dot, _):
 
 def event_tangents(args, args_dot, _):
     """The tangent rule of `events`."""
-    problem, path = args
+    problem, path, *room = args
     numbers = problem.numbers()
     if not are_few(numbers) or problem.friction_angle is not None:
         return NotImplemented
-    return along(event_slopes_now(problem, path), direction_of(numbers, args_dot[0].numbers()))
+    return along(event_slopes_now(problem, path, *room), direction_of(numbers, args_dot[0].numbers()))

@@ -15,7 +15,7 @@ from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.path import Status, room_for
 from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
@@ -29,7 +29,7 @@ from jaxwhisker._scan.route import (
     warn_of_no_touch,
 )
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-from jaxwhisker._scan.space_signals import events
+from jaxwhisker._scan.space_signals import event_room, events
 from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state_tangents
 from jaxwhisker._scan.space_steps import solved_states
 from jaxwhisker._space.approach import crop, limits_of
@@ -125,12 +125,13 @@ def _if_ok(path: SpacePath, status: Int[Array, ""] | None) -> SpacePath:
 
 def _result(scene, problem, path, links, control, state, status, lengths) -> SpaceResult:
     fields = {name: getattr(state, name) for name in SpaceState.__dataclass_fields__}
+    usual = event_room(len(scene.whiskers))
     return SpaceResult(
         **fields,
         control=control,
         spring_length=jnp.zeros((control.size, 0)) if lengths is None else lengths,
         status=status,
-        deferred_events=lambda: events_now(problem, path, links),
+        deferred_events=lambda: events_now(problem, path, links, *room_for(path.nodes, path.count, usual)),
         scene=scene,
     )
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._path.path import STOP, EventKind, first_and_last
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Base, angle_and_arc
 from jaxwhisker._space.history import Linked
@@ -133,21 +133,27 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def public_nodes(path: SpacePath, friction: bool) -> tuple[Node, Bool[Array, " nodes"], Int[Array, " events"]]:
-    """Nodes of a path, which of them are events of a scan, and the indices of the first of these; 0 without one."""
+def public_nodes(
+    path: SpacePath, friction: bool, room: int | None = None
+) -> tuple[Node, Bool[Array, " nodes"], Int[Array, " events"]]:
+    """Nodes of a path, which of them are events of a scan, and the indices of these; 0 without one.
+
+    Of more events than there is room for, the first and the last are kept.
+    """
     nodes = _with_turns(path) if friction else path.nodes
     index = jnp.arange(nodes.kind.size)
     reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
     public = (nodes.kind >= 0) & reached & (index < path.count)
-    return nodes, public, jnp.nonzero(public, size=event_room(nodes.whiskers.shape[1]), fill_value=0)[0]
+    size = event_room(nodes.whiskers.shape[1]) if room is None else room
+    return nodes, public, first_and_last(public, size)
 
 
-def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) -> SpaceEvents:
+def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None, room: int | None = None) -> SpaceEvents:
     """The events of a path, from where the drive has reached the first position of the control.
 
     `links` are the nodes of a path with friction, with their derivatives.
     """
-    nodes, public, at = public_nodes(path, links is not None)
+    nodes, public, at = public_nodes(path, links is not None, room)
     size = at.size
     filled = jnp.arange(size) < jnp.sum(public)
 

@@ -40,12 +40,14 @@ def state_slopes(
     return jacobian(function, (problem.numbers(), jnp.zeros(()), _of_one(links)))
 
 
-def event_slopes(problem: SpaceProblem, path: SpacePath, links: Linked | None = None) -> SpaceEvents:
+def event_slopes(
+    problem: SpaceProblem, path: SpacePath, links: Linked | None = None, room: int | None = None
+) -> SpaceEvents:
     """Slopes of all fields of the events with respect to the numbers of the problem and, last, those of their node."""
 
     def function(numbers):
         numbers, shift = numbers
-        return events(eqx.combine(numbers, problem), path, _shifted(links, shift))
+        return events(eqx.combine(numbers, problem), path, _shifted(links, shift), room)
 
     return jacobian(function, (problem.numbers(), _of_one(links)))
 
@@ -82,14 +84,14 @@ def state_tangents(args, args_dot, results):
 
 def event_tangents(args, args_dot, _):
     """The tangent rule of `events`."""
-    (problem, path, links), (problem_dot, _, links_dot) = args, args_dot
+    (problem, path, links, *room), (problem_dot, _, links_dot, *_) = args, args_dot
     numbers = problem.numbers()
     if not are_few(numbers, MOST_NUMBERS):
         return NotImplemented
-    slopes, direction = event_slopes_now(problem, path, links), direction_of(numbers, problem_dot.numbers())
+    slopes, direction = event_slopes_now(problem, path, links, *room), direction_of(numbers, problem_dot.numbers())
     if links is None:
         return along(slopes, direction)
-    at = _places_now(path)
+    at = _places_now(path, *room)
     return along_each(slopes, direction, _at(links, links_dot, at, at))
 
 
@@ -119,8 +121,8 @@ def _at(links: Linked, dots: Linked, node: Int[Array, " places"], end: Int[Array
     return [leaf[node] for leaf in point] + [leaf[end] for leaf in stages]
 
 
-def _places(path: SpacePath) -> Int[Array, " events"]:
-    return public_nodes(path, friction=True)[2]
+def _places(path: SpacePath, room: int | None = None) -> Int[Array, " events"]:
+    return public_nodes(path, True, room)[2]
 
 
 _places_now = Program(_places, frozen=True)

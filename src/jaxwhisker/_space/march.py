@@ -46,7 +46,7 @@ from jaxwhisker._space.slip import Mode, Motion, Slip, ends_of_step, grip_of, ra
 from jaxwhisker._space.stance import Stance, stance_of
 from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event, capacity_of
 
-ITERATIONS = 6000  # a march that needs more ends as `too_long`
+ITERATIONS = 60000  # a march that needs more ends as `too_long`
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 

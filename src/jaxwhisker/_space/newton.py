@@ -22,6 +22,9 @@ from jaxwhisker._space.linear import Linear, linearise
 from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space.slip import Motion, laws_of, radau
 
+ROUNDED = 1e-12  # residuals that are rounding errors
+LARGEST_NOISE = 1e-4  # of a Newton step for such residuals, dimensionless
+
 Phases = Int[Array, " whiskers"]
 
 
@@ -241,7 +244,11 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
     )
     points = solution.value
     finite = jnp.all(jnp.isfinite(points.z), axis=(-3, -2, -1)) & jnp.all(jnp.isfinite(points.u), axis=-1)
-    return Solution(points, solution.aux, (solution.state.step_size < tolerance) & finite)
+    # Along a nearly straight whisker, a light force is known only to the rounding of positions over its deflection
+    # squared: Newton steps do not get smaller although the equations are satisfied.
+    size = solution.state.step_size
+    converged = (size < tolerance) | ((solution.aux.residual < ROUNDED) & (size < LARGEST_NOISE))
+    return Solution(points, solution.aux, converged & finite)
 
 
 def plain(phase: Phases, condition: PathCondition) -> Equations:

@@ -32,6 +32,7 @@ from jaxwhisker._space.contact import Body
 from jaxwhisker._space.free import INTERVALS, Outline
 from jaxwhisker._space.section import space_section
 
+LEAST_FRICTION = 1e-12  # is added to the coefficient: without any, the direction in which a contact slips is unknown
 THINNEST = 5e-7  # half thickness of an object, in lengths: of thinner ones, a touch is not resolved
 
 PerWhisker = Float[Array, " whiskers"]
@@ -165,7 +166,7 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         mount=Placement(position / unit.length, rotation),
         springs=springs,
         outline=outline,
-        friction=None if scene.friction is None else jnp.asarray(scene.friction, dtype=float),
+        friction=None if scene.friction is None else jnp.asarray(scene.friction, dtype=float) + LEAST_FRICTION,
         onwards=jnp.asarray(scene.motion.onwards),
         ends=None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
         valid=valid,

@@ -80,7 +80,7 @@ def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
     """Number of nodes that a path has room for; with friction, contacts may stick and slip two hundred times."""
-    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 4)
+    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 16)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
