@@ -49,8 +49,8 @@ class Event(NamedTuple):
 class Events(eqx.Module):
     """The events of a scan in order: arrays of fixed size, of which the first `count` are filled.
 
-    Iteration and indexing (outside jit and vmap) yield `Event` objects. Within `jit`, `vmap` and derivatives, a scan may
-    have more events than there is room for: then `truncated` is True, the first and the last are kept, and `count`
+    Iteration and indexing (outside jit and vmap) yield `Event` objects. Within `jit`, `vmap` and derivatives, a scan
+    may have more events than there is room for: then `truncated` is True, the first and the last are kept, and `count`
     includes all. Otherwise there is room for all.
 
     Raises:

@@ -19,6 +19,7 @@ from jaxwhisker._space.march_state import SETTLED, SNAP, Flow, March, Outcome, T
 from jaxwhisker._space.newton import phase_by_slack
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.slip import FAINT, Mode, with_traction
+from jaxwhisker._space.stance import Stance
 
 KICK = 0.02  # along the path, from a fold
 SHARE = 0.2  # of the least force, that the kick may be with friction: light contacts slide very little
@@ -29,6 +30,10 @@ HELD = 1e2  # dimensionless: with friction, a contact that is at rest for so lon
 STRIDE = 0.08  # lengths that a contact may slide in a step
 REST = 1e-9  # lengths that a contact at rest may slide in the longest time
 FLOW_STEPS = 400
+# Where contacts stick and slip in turn before they come free, each cycle is shorter than the one before, in proportion
+# to the force. At last, a force cannot be told from rounding errors: the contact is released a little early.
+LIGHT = 5e-4  # dimensionless force of such a contact
+SUNK = 1e-4  # lengths by which its unloaded whisker may still be inside the object
 SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
 
 
@@ -75,6 +80,26 @@ def clinging(march: March, whiskers: Bool[Array, " whiskers"]) -> March:
         phase=phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase)),
         flow=march.flow._replace(clings=march.flow.clings | whiskers),
     )
+
+
+def _let_go(march: March, light: Bool[Array, " whiskers"]) -> March:
+    """The state in which contacts come free that are too light to be followed."""
+    phase = jnp.where(light, int(Phase.free), march.phase)
+    return march._replace(
+        task=jnp.asarray(int(Task.arrive)),
+        phase=phase,
+        point=march.point._replace(z=march.flow.start),
+        sunk=light,
+        pending=march.pending._replace(phase=phase, kind=jnp.asarray(int(EventKind.release)), whiskers=light),
+        target=march.target._replace(margin=jnp.asarray(SNAP)),
+    )
+
+
+def at_surface(stance: Stance, sunk: Bool[Array, " whiskers"]) -> Stance:
+    """The stance in which whiskers that leave the object, but are still a little inside, are at its surface."""
+    distance = stance.nearest.distance
+    inside = sunk & (distance < 0) & (distance > -2 * SUNK)
+    return stance._replace(nearest=stance.nearest._replace(distance=jnp.where(inside, 0.0, distance)))
 
 
 def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
@@ -126,6 +151,9 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     )
     # A contact that splits in two slides on as two; as one, it may never come to rest.
     failed = march.stopped(jnp.where(opens, int(Status.unsettled), int(Status.not_convex)))
+    if march.sunk is not None:
+        light = touching & (before[:, FORCE] < LIGHT) & (trial.stance.nearest.distance > -SUNK)
+        failed = select(jnp.any(light), _let_go(march, light), failed)
     new = first_case(
         ((flow.steps >= FLOW_STEPS) | (flow.time < SHORTEST_TIME), failed),
         (~good, again),

@@ -23,7 +23,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, unit
 from jaxwhisker._path.path import NO_EVENT, Status, select
 from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, TRACTION, UNKNOWNS, Traction
-from jaxwhisker._space.flow import FIRST_TIME, after_flow
+from jaxwhisker._space.flow import FIRST_TIME, after_flow, at_surface
 from jaxwhisker._space.free import Nearest
 from jaxwhisker._space.march_state import (
     AT_STOP,
@@ -119,6 +119,8 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
     tangent = jax.tree.map(lambda leaf: leaf / length, rate)
     grip = None if march.slip is None else grip_of(problem, march.slip.mode, phase, point, tangent)
     stance = stance_of(problem, point, phase, solution.newton.at, grip)
+    if march.sunk is not None:
+        stance = at_surface(stance, march.sunk)
     return Trial(solution, tangent, stance, guess, phase, stop, stops, last)
 
 
@@ -184,6 +186,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         touched=jnp.asarray(False),
         flow=Flow(jnp.asarray(FIRST_TIME), zero, z, nobody, stance.opens),
         slip=slip,
+        sunk=None if slip is None else nobody,
         count=zero,
         status=jnp.asarray(int(Status.ok)),
     )

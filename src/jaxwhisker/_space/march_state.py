@@ -96,6 +96,7 @@ class March(NamedTuple):
     touched: Bool[Array, ""]
     flow: Flow
     slip: Slip | None
+    sunk: Bool[Array, " whiskers"] | None  # freed although still a little inside the object; None without friction
     count: Int[Array, ""]
     status: Int[Array, ""]
 

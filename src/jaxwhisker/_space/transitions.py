@@ -80,7 +80,7 @@ def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
 
 def capacity_of(problem: SpaceProblem, stops: int) -> int:
     """Number of nodes that a path has room for; with friction, contacts may stick and slip two hundred times."""
-    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 16)
+    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 24)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
@@ -129,7 +129,11 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         good &= ~wrong & ~ends
         # Where contacts can neither stick nor slip, no equilibrium is near.
         astray = trial.solution.converged & ends & ~begins & (march.step < BRIEF_STEP)
-        moved = moved._replace(slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)))
+        assert march.sunk is not None
+        leaves = march.sunk & (stance.nearest.distance == 0)
+        moved = moved._replace(
+            slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)), sunk=leaves
+        )
         shorter = shorter._replace(step=jnp.where(wrong | ends, 0.4 * march.step, shorter.step))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
         again = march._replace(slip=guess, point=with_traction(march.point, traction))
