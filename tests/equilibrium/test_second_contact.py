@@ -97,3 +97,32 @@ def test_the_side_on_which_a_shaft_passes_the_lowest_point():
     # Above its tip and below its base nobody is passed.
     ends = np.resize([np.max(points(*arc(-1.3), np.array([TIP]))[1]) + 0.01, y[0] - 0.3], 6)
     assert sides(own, jnp.asarray(ends), jnp.asarray(x - 1.0)).tolist() == [0.0] * 6
+
+
+@Program
+def looks(own, distance, radius, position, parameter):
+    def one(*numbers, parameter):
+        circle, yes = jw.Circle(*numbers), jnp.asarray(True)
+        looks = (second_contact.dips, second_contact.may_meet, second_contact.meets)
+        return jnp.stack([look(circle, own, yes, parameter) for look in looks])
+
+    return jax.vmap(lambda *numbers: one(*numbers[:3], parameter=numbers[3]))(distance, radius, position, parameter)
+
+
+def test_a_closer_look_finds_all_contacts_and_clears_most_shafts():
+    # Circles that touch an arc at s = 0, curved more or less than the arc, on either side of it.
+    x, y, phi = points(*arc(1.3), np.zeros(LANES))
+    radius = np.geomspace(0.05, 3.0, LANES)
+    met = []
+    for side in (1.0, -1.0):
+        right, up = x + side * radius * np.sin(phi), y - side * radius * np.cos(phi)
+        slope = np.arctan2(x - right, up - y)  # of the circle at the contact: its parameter
+        own = shaft(*arc(1.3), -BASE, TIP)
+        dips, may_meet, meets = np.asarray(looks(own, *map(jnp.asarray, (up - radius, radius, right, slope)))).T
+        # The smallest circles turn too much within a part of a cell, but lie on one side of their tangents.
+        assert not np.any(meets & ~(may_meet & dips))
+        assert np.array_equal(may_meet[radius > 0.2], meets[radius > 0.2])
+        assert np.all(dips) == np.any(meets)
+        met.append(meets)
+    # The arc curves away from one of the circles, and around the other one if that is larger than its own.
+    assert sorted(map(tuple, met)) == sorted([(False,) * LANES, tuple(radius > 1 / 1.3)])

@@ -82,3 +82,54 @@ def test_smooth_signals_scatter_hardly_and_constant_ones_not_at_all():
     assert np.all(neighbour_scatter(observations(np.ones((STEPS, 3)))).sigma == 0)
     standing = np.repeat(CONTROL, 2)  # the drive stops at every position
     assert np.isfinite(neighbour_scatter(observations(smooth(standing), control=standing)).sigma).all()
+
+
+# fx, fy and mz of a follicle before a sphere at 18 positions: exact, but curved between neighbours.
+FEW = np.array(
+    [
+        (-0.242162, 0.078823, 0.247654),
+        (-0.469675, 0.160982, 0.488013),
+        (-0.702462, 0.277726, 0.726869),
+        (-0.994337, 0.522208, 0.988348),
+        (-1.299144, 0.869609, 1.258464),
+        (-1.582319, 1.325862, 1.518163),
+        (-1.785052, 1.884103, 1.727351),
+        (-1.780485, 2.516553, 1.772272),
+        (-1.099455, 3.135961, 1.144508),
+        (1.099455, 3.135961, -1.144508),
+        (1.780485, 2.516553, -1.772272),
+        (1.785052, 1.884103, -1.727351),
+        (1.582319, 1.325862, -1.518163),
+        (1.299144, 0.869609, -1.258464),
+        (0.994337, 0.522208, -0.988348),
+        (0.702462, 0.277726, -0.726869),
+        (0.469675, 0.160982, -0.488013),
+        (0.242162, 0.078823, -0.247654),
+    ]
+)
+
+
+def test_the_curvature_of_signals_between_few_positions_is_no_noise():
+    exact = Observations(np.linspace(-0.842907, 0.842907, len(FEW)), FEW[:, None], np.full((len(FEW), 1, 3), np.nan))
+    assert noise_of(exact) is None
+    noisy = FEW + 0.2 * np.random.default_rng(0).standard_normal(FEW.shape)
+    assert noise_of(Observations(exact.control, noisy[:, None], exact.sigma)) is not None
+
+
+def test_signals_of_a_scan_have_no_noise():
+    values = smooth(CONTROL) + 0.01 * np.random.default_rng(0).standard_normal((STEPS, 3))
+    measured = observations(values)
+    exact = Observations(CONTROL, measured.values, measured.sigma, exact=True)
+    assert noise_of(measured) is not None and noise_of(exact) is None
+    assert neighbour_scatter(exact).count == 0 and np.all(neighbour_scatter(exact).sigma == 0)
+    assert exact.at(slice(9)).exact and not exact.with_sigma(0.1).exact
+
+
+def test_noise_on_a_slope_is_no_jump():
+    slope = np.clip(-CONTROL - 0.2, 0.0, 0.5)
+    found = 0
+    for seed in range(100):
+        noise = 0.3 / STEPS * np.random.default_rng(seed).standard_normal((STEPS, 3))
+        seen = features(observations(0.05 * np.sin(40 * CONTROL)[:, None] + slope[:, None] + noise, 0.3 / STEPS))
+        found += int(np.isfinite(seen.low).sum())
+    assert found == 0

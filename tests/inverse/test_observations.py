@@ -5,6 +5,7 @@ import gzip
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
 
@@ -106,7 +107,7 @@ def test_other_columns_are_ignored_with_a_warning():
     ("data", "words"),
     [
         ({"fx": MZ}, "`control`, got fx"),
-        ({"control": CONTROL[:, None], "fx": MZ}, r"got shape \(6, 1\)"),
+        ({"control": np.stack([CONTROL, CONTROL]), "fx": MZ}, r"got shape \(2, 6\)"),
         ({"control": np.where(MZ > 0, np.nan, CONTROL), "fx": MZ}, "3 values that are not finite"),
         ({"control": CONTROL, "fx": MZ[:5]}, "fx for each of the 6 controls"),
         ({"control": CONTROL, "fx_1": FX}, "one column for fx_1"),
@@ -156,3 +157,44 @@ def test_wrong_files(tmp_path, text, words):
 def test_wrong_noise(sigma, words):
     with pytest.raises(ValueError, match=f"`sigma` must .*{words}"):
         read_observations({"control": CONTROL, "fx": FX}, sigma)
+
+
+def test_masked_values_are_missing():
+    masked = np.ma.array(FX[:, 0], mask=[0, 1, 0, 0, 1, 0])
+    read = read_observations({"control": CONTROL, "fx": masked, "mz": MZ})
+    assert read.known[:, 0, 0].tolist() == [True, False, True, True, False, True] and read.known[:, 0, 2].all()
+    with pytest.raises(ValueError, match="2 values that are not finite"):
+        read_observations({"control": np.ma.array(CONTROL, mask=[0, 1, 0, 0, 1, 0]), "mz": MZ})
+
+
+def test_columns_that_occur_twice_are_refused(tmp_path):
+    path = tmp_path / "measured.csv"
+    path.write_text("control,fx,fy,mz,control,fx,fy,mz\n" + "1,2,3,4,5,6,7,8\n" * 3)
+    with pytest.raises(ValueError, match="`measured` must hold each column once, got several of control, fx, fy, mz"):
+        read_observations(path)
+    frame = pd.DataFrame(np.ones((3, 3)), columns=["control", "mz", "mz"])
+    with pytest.raises(ValueError, match="`measured` must hold each column once, got several of mz"):
+        read_observations(frame)
+    path.write_text("control,mz,other,other\n" + "1,2,3,4\n" * 3)  # nobody reads these
+    with pytest.warns(UserWarning, match="ignored: other"):
+        assert read_observations(path).values[0, 0, 2] == 2
+
+
+def test_matrices_of_other_programs_are_columns():
+    # As scipy.io.loadmat reads them; a frame of polars has no index.
+    for shape in ((-1, 1), (1, -1)):
+        matrix = {"__header__": b"MATLAB", "control": CONTROL.reshape(shape), "mz": MZ.reshape(shape)}
+        np.testing.assert_array_equal(read_observations(matrix).values[:, 0, 2], MZ)
+
+    class Frame(dict):
+        columns = ("control", "mz")
+
+    read = read_observations(Frame(control=CONTROL, mz=MZ))
+    np.testing.assert_array_equal(read.values[:, 0, 2], MZ)
+
+
+def test_a_dataset_along_time_holds_the_control_as_a_variable():
+    data = xr.Dataset({"control": ("time", CONTROL), "mz": ("time", MZ)}, coords={"time": np.arange(CONTROL.size)})
+    read = read_observations(data)
+    np.testing.assert_array_equal(read.control, CONTROL)
+    np.testing.assert_array_equal(read.values[:, 0, 2], MZ)

@@ -1,11 +1,15 @@
 """Recordings that cannot be fitted are refused, and no others."""
 
+import dataclasses
+from functools import cache
+
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.observations import read_observations
-from jaxwhisker._inverse.recording import check_recording, check_signs
+from jaxwhisker._inverse.observations import Observations, read_observations
+from jaxwhisker._inverse.recording import check_recording, check_signs, check_units_of_guess, without_jitter
+from jaxwhisker._scan.route import turns_of
 from recordings import CONTROL, NOISE, STEPS, TRUTH, exact, fb, noisy, reversed_order
 
 TABLE = np.linspace(0.7, -1.3, 300)
@@ -135,3 +139,74 @@ def test_units_of_the_scene_count(data):
     sizes = {"control": length, "fx": force, "fy": force, "mz": force * length}
     scene = jw.Scene(jw.Whisker(length, stiffness), jw.Parabola(0.27 * length), jw.Support.fb(55.0 * force / length))
     check({n: v * sizes[n] for n, v in data.items()}, scene=scene)
+
+
+@cache
+def scanned():
+    return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.25), jw.Support.fb(70.0, 0.2)), np.linspace(1.0, -1.5, 121))
+
+
+def test_jitter_of_the_control_is_no_turn():
+    drive, random = np.linspace(1.0, -1.0, 201), np.random.default_rng(0)
+    for samples in (1, 5, 20):
+        wait = 1.0 + 1e-4 * random.integers(-1, 2, samples)
+        clean = without_jitter(np.concatenate([wait, drive]))
+        assert turns_of(clean).size == 0 and np.max(np.abs(clean[samples:] - drive)) < 2e-4
+    there_and_back = np.concatenate([drive, drive[::-1]])
+    noisy = there_and_back + random.normal(0.0, 0.004, there_and_back.size)
+    clean = without_jitter(noisy)
+    assert turns_of(noisy).size > 20 and turns_of(clean).size == 1
+    assert np.max(np.abs(clean - there_and_back)) < 0.02
+    assert np.std(clean - there_and_back) < np.std(noisy - there_and_back)
+
+
+def test_turns_that_are_meant_are_kept():
+    for control in (np.array([0.0, 1.0, 0.0, 1.0, 0.0]), np.linspace(0.0, 1.0, 9), np.array([0.5])):
+        assert without_jitter(control) is control
+    saw = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.995, 8), np.linspace(0.995, 2.0, 50)])
+    assert without_jitter(saw) is saw
+
+
+@pytest.mark.parametrize("samples", [1, 4, 16])
+def test_a_wait_before_the_sweep_does_not_matter(samples):
+    # The drive flickers in its last digit while the signals are noise.
+    random = np.random.default_rng(samples)
+    result = scanned()
+    rows = np.stack([np.asarray(getattr(result, name))[:, 0] for name in ("fx", "fy", "mz")], axis=1)
+    for _ in range(10):
+        wait = result.control[0] + 1e-4 * random.integers(-1, 2, samples)
+        control = np.concatenate([wait, result.control])
+        values = np.concatenate([np.zeros((samples, 3)), rows]) + random.normal(0.0, 0.01, (control.size, 3))
+        observed = Observations(control, values[:, None], np.full((control.size, 1, 3), 0.01))
+        check_signs(observed, result.scene)
+        opposite = dataclasses.replace(observed, values=-observed.values)
+        with pytest.raises(ValueError, match=r"whiskers lean ahead of the drive|the object pulls whiskers"):
+            check_signs(opposite, result.scene)
+
+
+FACTORS = {
+    "mm, mN and N mm": ((557.0, 1040.0, 530.0), "near 1000"),
+    "in m instead of mm": ((1e-3, 1.0, 1e-3), "near 0.001"),
+    "inches": ((25.4, 1.0, 25.4), "near 25.4"),
+    "millinewtons": ((1.0, 1e3, 1e3), "near 1000"),
+}
+
+
+@pytest.mark.parametrize("kind", FACTORS)
+def test_factors_between_units_are_noticed(kind):
+    (length, force, moment), words = FACTORS[kind]
+    result = scanned()
+    signals = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
+    observed = Observations(
+        length * np.asarray(result.control), signals * [force, force, moment], np.full(signals.shape, np.nan)
+    )
+    with pytest.raises(ValueError, match=f"`measured` must be in the same units as the scene, .*{words}"):
+        check_units_of_guess(observed, jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(60.0, 0.2)))
+
+
+def test_other_sizes_are_those_of_a_guess():
+    result = scanned()
+    signals = np.stack([np.asarray(getattr(result, name)) for name in ("fx", "fy", "mz")], axis=-1)
+    for factor in (1.0, 10.0, 30.0, 0.1):
+        observed = Observations(np.asarray(result.control), factor * signals, np.full(signals.shape, np.nan))
+        check_units_of_guess(observed, jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(60.0, 0.2)))

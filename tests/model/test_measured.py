@@ -28,7 +28,7 @@ def test_a_table_is_linear_between_rows():
 
 
 def test_columns_may_be_numbers():
-    uniform = jw.Whisker.from_table([0.0, 1.0, 2.0], youngs_modulus=64 / np.pi, diameter=1.0, density=4 / np.pi)
+    uniform = jw.Whisker.from_table([0.0, 1.0, 2.0], youngs_modulus=64e4 / np.pi, diameter=0.1, density=400 / np.pi)
     assert uniform.uniform and uniform.breaks is None
     assert uniform.stiffness_at(0.3) == pytest.approx(1.0) and uniform.mass_per_length == pytest.approx(1.0)
     curved = jw.Whisker.from_table([0.0, 1.0, 2.0], bending_stiffness=2.0, intrinsic_curvature=[0.1, 0.2, 0.4])
@@ -109,6 +109,16 @@ def test_shapes_with_errors(curvature):
     assert abs(np.mean(off)) < 20 * error
 
 
+def test_shapes_within_their_errors_are_accepted():
+    # One in a thousand is refused; a limit two standard deviations from the mean refused one in eleven.
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        s, curvature, error = np.linspace(0.0, 1.0, 20), rng.uniform(-1.2, 1.2), 10 ** rng.uniform(-4.0, -2.5)
+        x, y = np.sin(curvature * s) / curvature, (1 - np.cos(curvature * s)) / curvature
+        noise = error * rng.standard_normal((2, s.size))
+        assert jw.Whisker.from_points(x + noise[0], y + noise[1], error).length == pytest.approx(1.0, abs=5 * error)
+
+
 @pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("make", "message"),
@@ -134,6 +144,21 @@ def test_shapes_with_errors(curvature):
         (
             lambda: jw.Whisker.from_table([0.0, 1.0], bending_stiffness=[1.0, 0.5], density=1.0),
             "`density` must be given with a `diameter`",
+        ),
+        (
+            lambda: jw.Whisker.from_table([0.0, 0.03], youngs_modulus=3e9, diameter=[0.1, 0.05]),
+            "`diameter` must be at most 1/5 of the length 0.03, in the same unit",
+        ),
+        (
+            lambda: jw.Whisker.from_table(
+                [0.0, 0.01, 0.03], youngs_modulus=3e9, diameter=np.ma.array([2e-4, 9.0, 1e-4], mask=[0, 1, 0])
+            ),
+            "`diameter` must be a non-empty one-dimensional array of finite numbers, got nan at index 1",
+        ),
+        (lambda: jw.Whisker.from_points([0.0, 1.0, 2.0], [0.0, 1.0], 0.1), "`y` must be an array of the length of `x`"),
+        (
+            lambda: jw.Whisker.from_points(np.ma.array([0.0, 1.0, 2.0], mask=[0, 1, 0]), [0.0, 1.0, 2.0], 0.1),
+            "`x` must be .* got nan at index 1",
         ),
         (lambda: jw.Whisker.from_points([0.0, 1.0], [0.0, 1.0], 0.1), "`y` must be an array of the length of `x`"),
         (lambda: jw.Whisker.from_points([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], 0.0), "`error` must be a positive"),

@@ -30,6 +30,15 @@ def test_a_cone_has_a_linear_diameter():
     np.testing.assert_allclose(actual, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
 
 
+def test_cones_may_be_curved_and_errors_name_them_as_users_do():
+    cone = jw.Whisker.conical(0.06, 4e10, 4e-4, 2e-4, intrinsic_curvature=5.0)
+    assert float(cone.curvature_at(0.03)) == 5.0 and not cone.tapers
+    assert jw.Whisker.conical(0.06, 4e10, 4e-4, 2e-4).tapers and not jw.Whisker.conical(0.06, 4e10, 2e-4, 4e-4).tapers
+    for call in (jw.Whisker.conical, jw.Whisker.from_material, jw.Whisker.from_points):
+        with pytest.raises(TypeError, match=rf"^Whisker\.{call.__name__}\(\) missing"):
+            call(1.0)
+
+
 def test_a_rat_has_the_whiskers_of_the_regressions():
     # C2: 43 + 1.8 * 3 - 7.6 * 2 mm long, 0.041 + 0.002 * 33.2 + 0.011 * 3 - 0.0039 * 2 mm thick.
     whisker = jw.Whisker.rat("C", 2)

@@ -289,6 +289,41 @@ def test_another_unit_scales_lengths(surface):
         np.testing.assert_allclose(one, other * (2.5 if jnp.ndim(other) == 0 else 1), rtol=TABLE, atol=TABLE)
 
 
+class Flattening(eqx.Module):
+    """A ball, by a function that hardly changes far from it, where its gradient vanishes in float64."""
+
+    radius: float = 0.2
+
+    def __call__(self, x):
+        return jnp.exp(-1.0) - jnp.exp(-jnp.sum((x - jnp.array([0.0, 1.0, 0.05])) ** 2) / self.radius**2)
+
+
+def test_planes_before_a_user_defined_surface_do_not_depend_on_how_its_function_grows():
+    centre = np.array([0.0, 1.0, 0.05])
+    flat, ball = Surface(Flattening(), tuple(centre)), Sphere(0.2, tuple(centre))
+    way = np.random.default_rng(0).normal(size=(20, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    for far in (0.01, 0.1, 0.19, 0.2, 0.21, 0.3, 1.0, 10.0, 1e3):
+        points = jnp.asarray(centre + far * way)
+        distance, normal = jax.vmap(flat.plane_before)(points)
+        np.testing.assert_allclose(distance, far - 0.2, atol=1e-9 * max(1.0, far))
+        np.testing.assert_allclose(normal, way, atol=1e-8)
+        # That of a quadric is no farther away than the object.
+        first_order, same = jax.vmap(ball.plane_before)(points)
+        assert np.all(np.asarray(first_order) <= far - 0.2 + EXACT * max(1.0, far))
+        np.testing.assert_allclose(same, way, atol=EXACT * 100)
+    distance, normal = flat.plane_before(jnp.asarray(centre))
+    assert distance < 0 and np.all(np.isfinite(normal))
+
+
+def test_planes_turn_with_a_surface():
+    placed = Ellipsoid((0.1, 0.2, 0.3), INSIDE).rotated((0.3, -0.2, 0.5)).moved((0.1, 0.0, -0.2))
+    point = jnp.array([0.5, 0.4, 0.3])
+    distance, normal = placed.plane_before(point)
+    np.testing.assert_allclose(distance, placed.off(point), rtol=EXACT)
+    np.testing.assert_allclose(normal, placed.normal(point), atol=EXACT)
+
+
 def test_a_user_defined_surface_has_the_derivatives_of_its_function():
     sphere = Surface(lambda x: jnp.sum((x - jnp.array([0.0, 1.2, 0.0])) ** 2) - 0.81, INSIDE)
     exact = Sphere(0.9, INSIDE)
@@ -337,6 +372,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             "must be symmetric about the vertical axis through its lowest point, got contour q = 0.2, 3 knots.",
         ),
         (lambda: Revolved(jw.Graph(lambda x: 0.2 + x**2 + x**3 / 100)), "`profile` must be symmetric"),
+        (lambda: Revolved(jw.Graph(lambda x: 0.2 + x**2 + x**3 / 2)), "`profile` must be symmetric"),
         (lambda: Surface(3.0, INSIDE), "`function` must be a function that is called with one array of shape (3,)"),
         (lambda: Surface(lambda x: x, INSIDE), "which returns an array of shape (3,)"),
         (lambda: Surface(Power(), (0.0, 1.2)), "`inside` must be a tuple of three numbers, got (0.0, 1.2)."),

@@ -20,7 +20,7 @@ from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import Touch
 from jaxwhisker._path import snap_flow
-from jaxwhisker._path.snap_flow import ITERATIONS, LARGEST_CHANGE, SHORTEST
+from jaxwhisker._path.snap_flow import FIRST_CHANGE, ITERATIONS, SHORTEST
 
 ROUNDING = 1e-14
 REST = 1e-8  # position of the bases where a flow is followed to its end
@@ -44,14 +44,14 @@ def test_the_kick_changes_contacts_by_one_step(begun):
     tangent_pose = jnp.array([[0.3], [-0.4], [0.2]])
     kicked = snap_flow.kick(flow, Point(z, jnp.asarray(0.0)), tangent, tangent_pose)
     size = np.sqrt(np.sum(((kicked.guess - z) / scale_of(z)) ** 2))
-    np.testing.assert_allclose(size, LARGEST_CHANGE, rtol=1e-12)
+    np.testing.assert_allclose(size, FIRST_CHANGE, rtol=1e-12)
     # The bases go the same way along the tangent.
     share = np.sum((kicked.guess - z) * tangent.z) / np.sum(tangent.z**2)
     np.testing.assert_allclose(kicked.pose - pose, share * tangent_pose, rtol=1e-12)
     # A tangent that hardly changes the contacts does not throw the bases far away.
     still = tangent._replace(z=1e-9 * tangent.z)
     kicked = snap_flow.kick(flow, Point(z, jnp.asarray(0.0)), still, tangent_pose)
-    assert np.max(np.abs(kicked.pose - pose)) <= LARGEST_CHANGE / 1e-3
+    assert np.max(np.abs(kicked.pose - pose)) <= FIRST_CHANGE / 1e-3
 
 
 def test_shorter_steps_are_exhausted_at_the_shortest(begun):
@@ -60,7 +60,7 @@ def test_shorter_steps_are_exhausted_at_the_shortest(begun):
         flow = snap_flow.shortened(flow)
         steps.append(float(flow.step))
     assert steps[-1] < SHORTEST <= steps[-2]
-    np.testing.assert_allclose(steps, LARGEST_CHANGE / 4.0 ** np.arange(1, len(steps) + 1), rtol=ROUNDING)
+    np.testing.assert_allclose(steps, FIRST_CHANGE / 4.0 ** np.arange(1, len(steps) + 1), rtol=ROUNDING)
     late = begun[0]._replace(iterations=jnp.asarray(ITERATIONS))
     assert snap_flow.shortened(late).exhausted
     assert not snap_flow.shortened(late._replace(iterations=jnp.asarray(ITERATIONS - 1))).exhausted

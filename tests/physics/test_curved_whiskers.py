@@ -27,8 +27,9 @@ RIGID = jw.Support.fb(np.inf, 0.0)  # a clamp with the programs of a spring
 
 
 def curved(kappa, whisker=None, support=None, profile=None):
+    """A scene whose equilibria are those of one contact, even where the shaft passes into the object elsewhere."""
     whisker = jw.Whisker(intrinsic_curvature=kappa) if whisker is None else whisker
-    return jw.Scene(whisker, profile or jw.Parabola(0.2), support or jw.Support.fb(70.0, 0.2))
+    return jw.Scene(whisker, profile or jw.Parabola(0.2), support or jw.Support.fb(70.0, 0.2), detect=())
 
 
 SCENES = {
@@ -137,7 +138,7 @@ def observed(p):
     stiffness = jw.Whisker.conical(length, modulus, base, tip).bending_stiffness
     whisker = jw.Whisker(length, stiffness, LinearTaper(first, last, length))
     control = jnp.array([0.65, 0.3, -0.1, -0.4, -0.7, -1.6])
-    result = jw.scan(jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(c, 0.2)), control)
+    result = jw.scan(jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(c, 0.2), detect=()), control)
     return jnp.concatenate([result.fx[:5, 0], result.mz[:5, 0], result.events.control[:3]])
 
 

@@ -1,6 +1,7 @@
 """Objects with edges: closed forms, limits of smooth objects, cones of forces, mirror images, derivatives."""
 
 from functools import cache
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -353,3 +354,35 @@ def test_a_whisker_leaves_the_side_of_a_box_where_it_touched_it():
     (touch,), (release,) = (result.events.of(kind) for kind in (jw.EventKind.touch, jw.EventKind.release))
     np.testing.assert_allclose(release.control, touch.control, atol=1e-9)
     assert int(result.phase[-1, 0]) == jw.Phase.free
+
+
+SHORT = [-0.46017, 0.79375], [-0.06368, 0.0], [0.34636, 0.7804]
+
+
+def five_corners(lowest):
+    left, middle, right = SHORT
+    return jw.Polygon([(-0.61017, 1.36177), left, (middle[0], lowest), right, (0.49636, 1.33507)])
+
+
+@pytest.mark.parametrize("lowest", [0.482, 0.485, 0.4875, 0.49, 0.491])
+def test_snaps_of_tips_over_corners_may_be_very_short(lowest):
+    # On the way back, a tip slips over a corner, and the stable branch is closer than the flow's longest step.
+    turns = [1.9, -0.6353, -0.0747, -2.7]
+    control = np.concatenate([np.linspace(a, b, 80) for a, b in pairwise(turns)])
+    result = jw.scan(scene(five_corners(lowest), jw.Support.fb(34.0907, 0.2)), control)
+    assert all_ok(result)
+    assert len(result.events.of(jw.EventKind.snap_off)) == 1
+
+
+def test_a_snap_of_a_stepped_whisker_ends_on_the_near_side():
+    # The state at the last position is known from independent shooting; there, the drive has turned after the snap.
+    whisker = jw.Whisker(1.0, jw.Table([0.0, 0.318588, 0.318588, 1.0], [1.0, 1.0, 0.2, 0.2]), breaks=(0.318588,))
+    control = np.concatenate([np.linspace(1.9, -0.6353, 60), np.linspace(-0.6, -0.3588, 60), [-0.3589012]])
+    result = jw.scan(scene(five_corners(0.57573), jw.Support.fb(34.0907, 0.2), whisker), control)
+    assert all_ok(result)
+    snap = result.events.of(jw.EventKind.snap_through)[-1]
+    assert snap.control == pytest.approx(-0.358864, abs=1e-6)
+    assert float(snap.after.base_x[0] - snap.before.base_x[0]) == pytest.approx(3.2e-4, rel=0.02)
+    assert float(result.base_x[-1, 0]) == pytest.approx(-0.1480, abs=5e-5)
+    for name, value in {"fx": -0.371629, "mz": 0.642983, "contact_arc": 0.999564}.items():
+        assert float(getattr(result, name)[-1, 0]) == pytest.approx(value, abs=1e-6), name

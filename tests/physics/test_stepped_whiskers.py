@@ -41,7 +41,7 @@ def loaded(whisker, force=(1.0, 0.7), at=0.9):
 
 
 def scene(whisker):
-    return jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(70.0, 0.2), rod=jw.Shooting(steps=16))
+    return jw.Scene(whisker, jw.Parabola(0.2), jw.Support.fb(70.0, 0.2), rod=jw.Shooting(steps=16), detect=())
 
 
 CONTROL = np.linspace(0.7, -0.9, 9)

@@ -90,7 +90,7 @@ CLEAR = {
 @pytest.mark.parametrize("name", MEETING)
 def test_a_second_contact_ends_the_scan_where_a_polyline_dips_into_the_object(name):
     scene, deepest = MEETING[name]
-    plain, result = jw.scan(scene, CONTROL), jw.scan(detecting(scene, *BOTH), CONTROL)
+    plain, result = jw.scan(detecting(scene), CONTROL), jw.scan(scene, CONTROL)
     assert all_ok(plain)
     depth = depths(plain)
     assert depth.max() > deepest
@@ -106,7 +106,7 @@ def test_a_second_contact_ends_the_scan_where_a_polyline_dips_into_the_object(na
 
 @pytest.mark.parametrize("name", CLEAR)
 def test_clear_shafts_are_not_reported(name):
-    plain, result = jw.scan(CLEAR[name], CONTROL), jw.scan(detecting(CLEAR[name], *BOTH), CONTROL)
+    plain, result = jw.scan(detecting(CLEAR[name]), CONTROL), jw.scan(CLEAR[name], CONTROL)
     assert depths(plain).max() < DEPTH and np.any(np.asarray(plain.phase) == jw.Phase.tangential)
     assert all_ok(result)
     np.testing.assert_array_equal(result.mz, plain.mz)
@@ -213,7 +213,7 @@ def test_the_film_of_the_readme_shows_a_crossing():
     assert 0 < first(result.status) < result.status.size and "crossing" in str(result)
 
 
-def test_nothing_is_detected_unless_a_scene_asks_for_it():
+def test_nothing_is_searched_for_that_cannot_happen():
     scene = jax.tree.map(jnp.asarray, model("FBFBR"))
 
     def scanned(scene):
@@ -311,3 +311,31 @@ def test_the_order_of_names_does_not_matter():
     assert jax.tree.structure(one) == jax.tree.structure(other)
     assert str(one).endswith(", detects second contact and crossing")
     assert jw.Scene(jw.Whisker(), jw.Parabola(0.2), detect="crossing").detect == ("crossing",)
+
+
+def test_curved_whiskers_do_not_pass_into_smooth_objects_by_default():
+    scene = jw.Scene(
+        jw.Whisker(intrinsic_curvature=0.992381450543045),
+        jw.Parabola(0.11704241159057474, 1.044896713171311),
+        jw.Support.fb(129.65262162807937, 0.2),
+    )
+    control = np.linspace(1.9, -2.7, 240)
+    plain, result = jw.scan(detecting(scene), control), jw.scan(scene, control)
+    depth = depths(plain)
+    assert all_ok(plain) and depth.max() > 0.07
+    assert abs(first(depth > DEPTH) - first(np.asarray(result.status))) <= STEPS
+    assert set(np.unique(result.status)) == {jw.Status.ok, jw.Status.second_contact}
+
+
+@pytest.mark.parametrize(
+    ("whisker", "searched"),
+    [
+        (jw.Whisker(), False),
+        (jw.Whisker.conical(1.0, 1.0, 0.02, 0.005), False),
+        (jw.Whisker.conical(1.0, 1.0, 0.005, 0.02), True),
+        (jw.Whisker(bending_stiffness=lambda s: 1 - s / 2), True),
+        (jw.Whisker(intrinsic_curvature=0.0), True),
+    ],
+)
+def test_second_contacts_are_searched_for_where_they_may_occur(whisker, searched):
+    assert (kinds_of(jw.Scene(whisker, jw.Parabola(0.2))) == ("second_contact",)) == searched

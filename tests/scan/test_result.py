@@ -94,7 +94,7 @@ def test_more_events_than_room():
     assert not full.events.truncated and over.events.truncated
     assert len(over.events) == ROOM
     assert "events" not in str(full)
-    assert "\nthe first 4 of 7 events\n" in str(over)
+    assert "\nthe first and last of 7 events\n" in str(over)
 
 
 def test_a_result_prints_its_steps_and_events():

@@ -10,6 +10,7 @@ from jaxwhisker._space.approach import REACH, limits_of
 from jaxwhisker._space.stance import clearance
 
 WHOLE = jnp.asarray(jnp.nan)
+TOUCH = 1e-7  # the values are rounded to as many digits
 
 
 @pytest.mark.parametrize(
@@ -41,3 +42,84 @@ def test_a_rotation_begins_and_ends_at_its_own_controls():
     np.testing.assert_allclose(limits_of(problem, WHOLE), [0.8, -0.5])
     np.testing.assert_allclose(limits_of(problem, jnp.asarray(0.2)), [0.8, -0.5])
     np.testing.assert_allclose(limits_of(problem, jnp.asarray(1.1)), [1.1, -0.5])
+
+
+def lean(angle):
+    return jw.Support(mount=jw.Mount(angle=angle))
+
+
+PASSING = {
+    "a leaning whisker, a small ball": (
+        jw.Scene(jw.Whisker(), jw.Sphere(0.1, (0, 0.85, 0.02)), lean(0.4)),
+        {"touch": 0.4657511, "release": 0.2529974},
+    ),
+    "a leaning whisker, an ellipsoid": (
+        jw.Scene(jw.Whisker(), jw.Ellipsoid((0.1, 0.15, 0.3), (0, 0.9, 0.05)), lean(0.4)),
+        {"touch": 0.4870149},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PASSING)
+def test_whiskers_that_lean_towards_the_motion_do_not_begin_beyond_the_object(name):
+    scene, events = PASSING[name]
+    result = jw.scan(scene)
+    assert np.all(result.status == jw.Status.ok)
+    for kind, control in events.items():
+        assert result.events.of(jw.EventKind[kind])[0].control == pytest.approx(control, abs=TOUCH)
+
+
+@pytest.mark.parametrize(
+    ("scene", "touch"),
+    [
+        (
+            jw.Scene(jw.Whisker(0.06, 2.5e-5, intrinsic_curvature=6.67), jw.Cylinder(0.006, (0, 0.05, 0), (0, 0, 1))),
+            0.014964242 / 0.06,
+        ),
+        (
+            jw.Scene(
+                jw.Whisker(),
+                jw.Sphere(0.1, (0, 0.9, 0.02)),
+                jw.Support(
+                    tuple(jw.Spring((0, k), 50.0, axis=axis) for k in (1, 2) for axis in "xyz"),
+                    (jw.Mount(), jw.Mount(0.4)),
+                ),
+            ),
+            0.09797959,
+        ),
+    ],
+)
+def test_scans_begin_before_the_first_touch_of_any_whisker(scene, touch):
+    # The first whisker of the network stands beyond the object where the middle of the bases is beside it.
+    problem = dimensionless(scene)
+    start, _ = limits_of(problem, WHOLE)
+    assert problem.onwards * (start - touch) < 0
+    before = np.linspace(start, touch - 1e-6 * problem.onwards, 200)
+    assert min(float(clearance(problem, u)) for u in before[::20]) > 0
+
+
+@pytest.mark.parametrize(("radius", "touch"), [(1e-4, 0.000103078), (1e-6, 1.031e-6)])
+def test_thin_oblique_pegs_are_touched_on_the_near_side(radius, touch):
+    scene = jw.Scene(jw.Whisker(), jw.Cylinder(radius, (0, 0.6, 0), (0.25, 0, 1)))
+    result = jw.scan(scene, np.linspace(0.3, -1.0, 66))
+    assert np.all(result.status == jw.Status.ok)
+    assert result.events[0].control == pytest.approx(touch, rel=1e-3)
+    # In the plane normal to the peg, a straight whisker is in the plane of its force: nothing but the way differs.
+    cosine = 1 / np.hypot(1.0, 0.25)
+    plane = jw.scan(jw.Scene(jw.Whisker(), jw.Circle(0.6 - radius, radius)), np.linspace(0.3, -1.0, 66) * cosine)
+    force = np.sqrt(np.asarray(result.fx) ** 2 + np.asarray(result.fz) ** 2)
+    np.testing.assert_allclose(force, np.abs(plane.fx), atol=1e-6 * np.max(force))
+    np.testing.assert_allclose(result.fy, plane.fy, atol=1e-6 * np.max(force))
+
+
+def test_thinner_pegs_are_refused():
+    thin = jw.Scene(jw.Whisker(0.05), jw.Cylinder(1e-8, (0, 0.03, 0), (0, 0, 1)))
+    with pytest.raises(ValueError, match=r"`surface` must be thicker than .* of a whisker's length \(0\.05\)"):
+        jw.scan(thin, np.array([0.01, -0.01]))
+    assert not dimensionless(thin).valid
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_default_scan_that_touches_nothing_warns():
+    with pytest.warns(UserWarning, match="The scan touches nothing: .*sphere r = 0.1"):
+        jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(0.1, (0.0, 0.9, 3.0))))

@@ -68,6 +68,7 @@ def cells_of(
         raise ValueError(f"`{argument}` must be the path of a CSV file, got {path}, which {why}.")
     lines = [line for line in re.split(r"\r\n?|\n", _text_of(path))[skip:] if line.strip()]
     body = [line for line in lines if line[0] != COMMENT]
+    above = lines.index(body[0]) if body else 0
     separator = max(",;\t", key=body[0].count) if body else ","
     if body and separator not in body[0]:
         body, separator = [re.sub(r"\s+", "\t", line.strip()) for line in body], "\t"
@@ -76,14 +77,14 @@ def cells_of(
         return [[cell.strip() for cell in row] for row in csv.reader(some, delimiter=separator, skipinitialspace=True)]
 
     names, *rows = split(body) or [[]]
-    above = lines.index(body[0]) if body and body[0] in lines else 0
     if all(map(_is_number, names)) and above and lines[above - 1][0] == COMMENT:  # as np.savetxt writes names
         header = lines[above - 1].lstrip(COMMENT).strip()
         header = header if separator in header else re.sub(r"\s+", "\t", header).replace("\t", separator)
         names, rows = split([header])[0], [names, *rows]
     if len(rows) > 1 and not any(map(_is_number, rows[0])):  # units
         rows = rows[1:]
-    rows = [row + [""] * (len(names) - len(row)) for row in rows]
+    # A last column of comments may be missing in some rows.
+    rows = [row + [""] * (0 if any(map(wanted, names[len(row) :])) else len(names) - len(row)) for row in rows]
     if not rows or any(len(row) != len(names) for row in rows):
         raise ValueError(f"`{argument}` must be columns of equal length below a line of names, got {path}.")
     twice = sorted({name for name in names if names.count(name) > 1 and wanted(name)})
