@@ -42,7 +42,7 @@ lint: $(VENV)/installed-dev ## check style and formatting (ruff)
 types: $(VENV)/installed-dev ## check types (pyright)
 	@$(BIN)/pyright
 
-docs: $(VENV)/installed-dev ## build the documentation in out/site (EXECUTE=1: with notebook outputs, 15 minutes)
+docs: $(VENV)/installed-docs ## build the documentation in out/site (EXECUTE=1: with notebook outputs, 15 minutes)
 	@NO_MKDOCS_2_WARNING=1 EXECUTE_NOTEBOOKS=$(if $(EXECUTE),true,false) $(BIN)/mkdocs build --quiet --strict
 
 notebooks: $(VENV)/installed-dev ## run all notebooks and save them with outputs in out/notebooks (10 to 20 minutes)
@@ -109,6 +109,11 @@ $(BIN)/python:
 $(VENV)/installed: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker into $(VENV)"
 	@$(PIP_INSTALL) '.[study,explore]'
+	@touch $@
+
+$(VENV)/installed-docs: pyproject.toml | $(BIN)/python
+	@echo "installing jaxwhisker and what its documentation needs into $(VENV)"
+	@$(PIP_INSTALL) '.[notebooks,docs]'
 	@touch $@
 
 $(VENV)/installed-bench: pyproject.toml | $(BIN)/python

@@ -19,6 +19,7 @@ class _Notice:
 
     lock = threading.Lock()
     running = 0
+    told = False
     timer: threading.Timer | None = None
     purpose = "scenes of this kind"
 
@@ -35,14 +36,14 @@ def compiling_for(purpose: str) -> Iterator[None]:
 
 @contextmanager
 def announced(*, kept: bool) -> Iterator[None]:
-    """Say on a terminal or in a notebook what is going on if this takes longer than `PATIENCE`.
+    """Say what is going on if this takes longer than `PATIENCE`; in scripts and logs, once.
 
     Args:
         kept: whether the program that is compiled will be kept on disk.
     """
     with _Notice.lock:
         _Notice.running += 1
-        if _Notice.running == 1 and _interactive():
+        if _Notice.running == 1 and (_interactive() or not (_Notice.told or _silenced())):
             _Notice.timer = threading.Timer(PATIENCE, _announce, [kept])
             _Notice.timer.daemon = True
             _Notice.timer.start()
@@ -56,10 +57,12 @@ def announced(*, kept: bool) -> Iterator[None]:
                 _Notice.timer = None
 
 
+def _silenced() -> bool:
+    return os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false")
+
+
 def _interactive() -> bool:
-    if os.environ.get("JAXWHISKER_PROGRESS", "").lower() in ("off", "0", "no", "false"):
-        return False
-    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
+    return not _silenced() and ("ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)()))
 
 
 @contextmanager
@@ -92,13 +95,18 @@ def progress(doing: str) -> Iterator[Callable[[float], None]]:
 
 
 def _announce(kept: bool) -> None:
-    say(f"compiling for {_Notice.purpose}, once{', kept for later' if kept else ''} ...")
+    _Notice.told = True
+    _print(f"compiling for {_Notice.purpose}, once{', kept for later' if kept else ''} ...")
 
 
 def say(text: str) -> None:
     """Print a line on a terminal or in a notebook."""
     if _interactive():
-        print(f"jaxwhisker: {text}", file=sys.stderr, flush=True)
+        _print(text)
+
+
+def _print(text: str) -> None:
+    print(f"jaxwhisker: {text}", file=sys.stderr, flush=True)
 
 
 def warn(text: str) -> None:

@@ -135,6 +135,13 @@ def triple(name: str, value: Any, *, positive: bool = False) -> None:
     _tuple(name, value, 3, "a tuple of three numbers", positive=positive)
 
 
+def as_array(value: Any) -> Any:
+    """A column of a DataFrame or a DataArray as an array, without its mask; others stay as they are."""
+    if isinstance(value, np.ma.MaskedArray) or (hasattr(value, "__array__") and not is_numeric(value)):
+        return np.asarray(unmasked(value) if isinstance(value, np.ndarray) else value)
+    return value
+
+
 def as_tuple(value: Any) -> Any:
     """A list or a one-dimensional array of numbers as a tuple; others stay as they are."""
     if isinstance(value, list) or (isinstance(value, np.ndarray | jax.Array) and value.ndim == 1):

@@ -61,7 +61,9 @@ def folder() -> Path | None:
     try:
         if chosen:
             return Path(chosen).expanduser()
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxwhisker"
+        shared = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        # Relative paths are to be ignored: https://specifications.freedesktop.org/basedir-spec
+        return (shared if shared.is_absolute() else Path.home() / ".cache") / "jaxwhisker"
     except RuntimeError:  # the user has no home
         return None
 

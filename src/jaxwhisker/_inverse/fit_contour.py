@@ -171,7 +171,7 @@ def fit_contour(
     Raises:
         ValueError: if an argument is wrong, or `measured` shows too few contacts.
     """
-    if _in_space(measured):
+    if _in_space(measured) or family is not None:
         _check_left_out(
             "in space", sensor=sensor, sigma=sigma, parameters=parameters, unknown=unknown or None, guess=guess
         )

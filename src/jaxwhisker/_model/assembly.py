@@ -8,7 +8,8 @@ import equinox as eqx
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of, text_unless
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.motion import Translation
+from jaxwhisker._model.along import LinearTaper, RoundSection
+from jaxwhisker._model.motion import Mount, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 
@@ -68,7 +69,8 @@ def support_text(support: Support) -> str:
     """Text of a support, its whiskers and springs."""
     n, springs = support.whiskers, len(support.springs)
     counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
-    return f"{support.name}: {', '.join(counted)}"
+    mount = str(support.mounts[0]) if n == 1 else str(Mount())
+    return f"{support.name}: {', '.join(counted)}" + f" at {mount}" * (mount != str(Mount()))
 
 
 def motion_text(motion: Any) -> str:
@@ -79,7 +81,11 @@ def motion_text(motion: Any) -> str:
 def whisker_text(whisker: Whisker) -> str:
     """Text of what differs from the default whisker."""
     text = text_unless(1.0, ", L = ", whisker.length)
-    if callable(whisker.bending_stiffness):
+    stiffness = whisker.bending_stiffness
+    taper = stiffness.diameter if isinstance(stiffness, RoundSection) else None
+    if isinstance(taper, LinearTaper):
+        text += f", conical, d = {as_text(taper.base)} to {as_text(taper.tip)}"
+    elif callable(whisker.bending_stiffness):
         text += f", EI = {name_of(whisker.bending_stiffness)}(s)"
     else:
         text += text_unless(1.0, ", EI = ", whisker.bending_stiffness)

@@ -106,7 +106,8 @@ class LinearDrive(SpaceMotion):
         return checks.all_finite(self) & _has_length(self.direction)
 
     def __str__(self):
-        return f"translation along {_text(self.direction)}"
+        origin = _text(self.origin)
+        return f"translation along {_text(self.direction)}" + f" from {origin}" * (origin != _text(NOWHERE))
 
 
 class _Between(SpaceMotion):

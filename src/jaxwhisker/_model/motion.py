@@ -246,6 +246,12 @@ class Mount(eqx.Module):
             if getattr(self, name) is not None:
                 checks.number(name, getattr(self, name))
 
+    def __str__(self) -> str:
+        place = [self.x, self.y, *[self.z] * (self.z is not None)]
+        angles = {name: getattr(self, name) for name in ("angle", "elevation", "roll")}
+        turned = [f"{name} {as_text(value)}" for name, value in angles.items() if value is not None]
+        return ", ".join([f"({', '.join(map(as_text, place))})", *turned])
+
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domain that the constructor checks."""
         return checks.all_finite(self) & (jnp.abs(jnp.asarray(self.angle)) < checks.RIGHT_ANGLE)

@@ -46,7 +46,7 @@ from jaxwhisker._equilibrium.stability import (
 from jaxwhisker._equilibrium.stance import PerObject, PerWhisker, Poses, Stance, of_object
 
 LARGEST_CHANGE = 0.02  # largest change of any contact in a step, in its scale; the flow is first order in it
-FIRST_CHANGE = 0.0025  # the same for the first step: the branch beyond a short snap may be as near, or contacts may stick
+FIRST_CHANGE = 0.0025  # the same for the first step: contacts may stick, or the end of a short snap may be as near
 FARTHEST = 5.0  # largest motion of a base per change of contacts: a flat object moves far beneath a steady contact
 SHORTEST = 1e-7  # smallest such change that is tried if a whisker cannot follow a larger one
 FIRST_TIME_STEP = 1e-3

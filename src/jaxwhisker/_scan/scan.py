@@ -100,6 +100,7 @@ def scan(scene: Any, control: Control | None = None) -> Any:
     """
     checks.float64_mode()
     checks.instance("scene", scene, AbstractScene, "a Scene")
+    control = checks.as_array(control)
     if not isinstance(scene, Scene):
         from jaxwhisker._scan.space_scan import scan_in_space
 
