@@ -67,8 +67,8 @@ bench-inverse: $(VENV)/installed-dev ## measure fits, contours and required prio
 extremes: $(VENV)/installed-dev ## scan scenes at the limits of every parameter's range
 	@$(call run,extremes space_extremes report) && $(draw)
 
-soak: $(VENV)/installed-dev ## check 140,000 random scenes (two hours on two cores)
-	@$(call run,soak soak_supports soak_friction soak_shafts soak_space report)
+soak: $(VENV)/installed-dev ## check 150,000 random scenes (two hours on two cores)
+	@$(call run,soak soak_supports soak_friction soak_shafts soak_curved soak_space report)
 
 # Packages whose tests enforce types and shapes of all arguments, which costs time.
 TYPED := tests/base tests/model tests/rod
@@ -119,9 +119,9 @@ $(VENV)/installed-docs: pyproject.toml | $(BIN)/python
 $(VENV)/installed-bench: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker, its test dependencies and other simulators into $(VENV)"
 	@$(PIP_INSTALL) '.[dev,bench]'
-	@touch $(VENV)/installed $(VENV)/installed-dev $@
+	@touch $(VENV)/installed $(VENV)/installed-dev $(VENV)/installed-docs $@
 
 $(VENV)/installed-dev: pyproject.toml | $(BIN)/python
 	@echo "installing jaxwhisker and its test dependencies into $(VENV)"
 	@$(PIP_INSTALL) '.[dev]'
-	@touch $(VENV)/installed $@
+	@touch $(VENV)/installed $(VENV)/installed-docs $@
