@@ -96,10 +96,13 @@ def test_the_argument_is_named(name, make, allowed):
         (lambda: checks.number("c", "3"), "`c` must be a finite number, got '3'."),
         (lambda: checks.number("c", np.ones(3)), "`c` must be a finite number, got an array of shape (3,)."),
         (lambda: checks.pair("p", [1.0, 2.0]), "`p` must be a pair of numbers, got [1.0, 2.0]."),
-        (lambda: checks.pair("p", (1.0, nan)), "`p` must be a finite number, got nan."),
+        (lambda: checks.pair("p", (1.0, nan)), "`p[1]` must be a finite number, got nan."),
         (lambda: checks.triple("p", (1.0, 2.0)), "`p` must be a tuple of three numbers, got (1.0, 2.0)."),
-        (lambda: checks.triple("p", (1.0, nan, 2.0)), "`p` must be a finite number, got nan."),
-        (lambda: checks.triple("p", (1.0, 0.0, 2.0), positive=True), "`p` must be a positive finite number, got 0.0."),
+        (lambda: checks.triple("p", (1.0, nan, 2.0)), "`p[1]` must be a finite number, got nan."),
+        (
+            lambda: checks.triple("p", (1.0, 0.0, 2.0), positive=True),
+            "`p[1]` must be a positive finite number, got 0.0.",
+        ),
         (lambda: checks.acute_angle("a", -1.6), "`a` must be less than a right angle, got -1.6 rad."),
         (
             lambda: checks.vector("v", np.ones((2, 3))),

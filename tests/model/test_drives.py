@@ -146,7 +146,8 @@ def test_ends_units_and_directions():
 
 
 def test_texts_name_the_motion():
-    expected = ["translation along (-3, 0, 4)", "rotation about (1, 2, -0.5)", "whisking", "motion Wave(u)"]
+    along = "translation along (-3, 0, 4) from (0.2, 0.1, -0.3)"
+    expected = [along, "rotation about (1, 2, -0.5)", "whisking", "motion Wave(u)"]
     assert list(map(str, DRIVES)) == expected
 
 
@@ -196,7 +197,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: LinearDrive((0.0, 0.0, 0)), r"`direction` must be a vector that is not zero, got \(0.0, 0.0, 0\)"),
         (lambda: LinearDrive((1.0, 0.0, 0.0), 0.0), "`origin` must be a tuple of three numbers, got 0.0"),
         (lambda: RotaryDrive((0.0, 0.0, 0.0)), "`axis` must be a vector that is not zero"),
-        (lambda: RotaryDrive((0.0, 0.0, 1.0), (0.0, np.nan, 0.0)), "`pivot` must be a finite number, got nan"),
+        (lambda: RotaryDrive((0.0, 0.0, 1.0), (0.0, np.nan, 0.0)), r"`pivot\[1\]` must be a finite number, got nan"),
         (lambda: RotaryDrive((0.0, 0.0, 1.0), stop=-np.pi / 2), "`stop` must be different from `start`, got -1.57"),
         (lambda: WhiskDrive("a"), "`elevation` must be a finite number, got 'a'"),
         (lambda: WhiskDrive(roll_rate=np.inf), "`roll_rate` must be a finite number, got inf"),

@@ -139,7 +139,7 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: jw.Tilted(0.3, 0.1), "`profile` must be a profile such as Parabola or Graph, got 0.3"),
         (lambda: jw.Tilted(jw.Parabola(0.2), 2.0), "`angle` must be less than a right angle, got 2 rad"),
         (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, 3.0), "`about` must be a pair of numbers, got 3.0"),
-        (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, (0.0, np.inf)), "`about` must be a finite number, got inf"),
+        (lambda: jw.Tilted(jw.Parabola(0.2), 0.1, (0.0, np.inf)), r"`about\[1\]` must be a finite number, got inf"),
     ],
 )
 def test_wrong_profiles(make, message):

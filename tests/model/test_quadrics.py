@@ -121,11 +121,11 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         (lambda: Sphere(1.0, 3.0), "`centre` must be a tuple of three numbers, got 3.0."),
         (
             lambda: Ellipsoid((1.0, -1.0, 1.0), (0.0, 1.0, 0.0)),
-            "`half_axes` must be a positive finite number, got -1.0.",
+            "`half_axes[1]` must be a positive finite number, got -1.0.",
         ),
-        (lambda: Ellipsoid((1.0, 1.0, 1.0), (0.0, np.nan, 0.0)), "`centre` must be a finite number, got nan."),
+        (lambda: Ellipsoid((1.0, 1.0, 1.0), (0.0, np.nan, 0.0)), "`centre[1]` must be a finite number, got nan."),
         (lambda: Cylinder(-0.9, (0.0, 1.0, 0.0)), "`radius` must be a positive finite number, got -0.9."),
-        (lambda: Cylinder(0.9, (0.0, np.inf, 0.0)), "`point` must be a finite number, got inf."),
+        (lambda: Cylinder(0.9, (0.0, np.inf, 0.0)), "`point[1]` must be a finite number, got inf."),
         (lambda: Cylinder(0.9, (0.0, 1.0, 0.0), "z"), "`axis` must be a tuple of three numbers, got 'z'."),
         (
             lambda: Cylinder(0.9, (0.0, 1.0, 0.0), (0, 0.0, 0)),
@@ -151,3 +151,12 @@ def test_text():
     seen = []
     jax.jit(lambda r: seen.append(str(Sphere(r, (0.0, 1.0, r)))) or r)(1.0)
     assert seen == ["sphere r = ?, centre (0, 1, ?)"]
+
+
+def test_points_and_vectors_may_be_lists_and_arrays():
+    expected = Cylinder(0.9, (0.0, 1.5, 0.0), (0.0, 0.0, 1.0))
+    for kind in (list, np.array, jnp.array):
+        assert str(Cylinder(0.9, kind([0.0, 1.5, 0.0]), kind([0.0, 0.0, 1.0]))) == str(expected)
+    assert str(Sphere(0.9, [0.0, 1.5, 0.0]).moved(np.ones(3))) == str(
+        Sphere(0.9, (0.0, 1.5, 0.0)).moved((1.0, 1.0, 1.0))
+    )

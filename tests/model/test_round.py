@@ -30,6 +30,7 @@ def test_a_cone_has_a_linear_diameter():
     np.testing.assert_allclose(actual, [1.0, 0.75**4, 0.5**4], rtol=EXACT)
 
 
+@pytest.mark.unchecked
 def test_cones_may_be_curved_and_errors_name_them_as_users_do():
     cone = jw.Whisker.conical(0.06, 4e10, 4e-4, 2e-4, intrinsic_curvature=5.0)
     assert float(cone.curvature_at(0.03)) == 5.0 and not cone.tapers

@@ -199,7 +199,7 @@ def test_traced_places_that_are_not_finite_are_invalid():
     [
         (lambda: SPHERE.moved((1.0, 2.0)), "`by` must be a tuple of three numbers, got (1.0, 2.0)."),
         (lambda: SPHERE.rotated(0.3), "`rotation` must be a tuple of three numbers, got 0.3."),
-        (lambda: SPHERE.rotated(TURN, about=(0.0, 0.0, np.nan)), "`about` must be a finite number, got nan."),
+        (lambda: SPHERE.rotated(TURN, about=(0.0, 0.0, np.nan)), "`about[2]` must be a finite number, got nan."),
     ],
 )
 def test_errors_name_the_argument(make, message):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 from jaxwhisker._base import checks
 from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.leaves import as_field, name_of
-from jaxwhisker._base.types import Scalar, Triple
+from jaxwhisker._base.types import Scalar, Triple, Vector
 from jaxwhisker._model.conic import Conic
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._model.profiles import Tilted
@@ -242,7 +242,7 @@ class Surface(AbstractSurface):
     inside: Triple
     _unit: Scalar  # of points; `function` stays in the user's unit
 
-    def __init__(self, function: Callable, inside: Triple):
+    def __init__(self, function: Callable, inside: Vector):
         inside = checks.as_tuple(inside)
         checks.function("function", function, shape=(3,))
         checks.triple("inside", inside)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
 from jaxwhisker._base.rotation import rotation_matrix
-from jaxwhisker._base.types import Scalar, Triple
+from jaxwhisker._base.types import Scalar, Triple, Vector
 
 Point = Float[Array, "3"]
 NOWHERE = (0.0, 0.0, 0.0)
@@ -78,7 +78,7 @@ class AbstractSurface(eqx.Module):
     def interior_point(self) -> Point:
         """A point inside the object: its centre, or a point near the vertex or axis of an unbounded object."""
 
-    def moved(self, by: Triple) -> "Placed":
+    def moved(self, by: Vector) -> "Placed":
         """The surface after a shift.
 
         Args:
@@ -89,7 +89,7 @@ class AbstractSurface(eqx.Module):
         """
         return Placed(self, by=by)
 
-    def rotated(self, rotation: Triple, about: Triple | None = None) -> "Placed":
+    def rotated(self, rotation: Vector, about: Vector | None = None) -> "Placed":
         """The surface after a rotation.
 
         Args:

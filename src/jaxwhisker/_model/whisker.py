@@ -1,5 +1,6 @@
 """The whisker: a slender, inextensible, shearless elastic rod, straight or curved when unloaded."""
 
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -251,7 +252,7 @@ class Whisker(Round, metaclass=Suggesting):
 for _base in Whisker.__mro__[1:3]:  # Round and Measured: errors of Python name functions as users call them
     for _name, _value in vars(_base).items():
         if isinstance(_value, classmethod):
-            _value.__func__.__qualname__ = f"Whisker.{_name}"
+            inspect.unwrap(_value.__func__).__qualname__ = f"Whisker.{_name}"
 
 
 def _samples(value: AlongWhisker, length: Scalar) -> tuple[Float[Array, " points"], Bool[Array, " points"]]:
