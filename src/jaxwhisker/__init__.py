@@ -26,6 +26,7 @@ from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.state import State
 
 if TYPE_CHECKING:
+    from jaxwhisker._base.columns import read_columns
     from jaxwhisker._dynamics.drive import Sweep, Whisking
     from jaxwhisker._dynamics.modes import Modes, modes
     from jaxwhisker._dynamics.simulate import simulate

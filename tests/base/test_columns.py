@@ -5,8 +5,7 @@ import gzip
 import numpy as np
 import pytest
 
-import jaxwhisker as jw
-from jaxwhisker._base.columns import cells_of
+from jaxwhisker._base.columns import cells_of, read_columns
 
 CONTROL, FX = np.array([0.1, 0.2, 0.3]), np.array([1.5, np.nan, -2.0])
 LABVIEW = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\nX_Value\tForce\tComment\n"
@@ -26,7 +25,7 @@ def written(tmp_path, text):
 
 @pytest.mark.parametrize("kind", TEXTS)
 def test_columns_of_any_separator(tmp_path, kind):
-    found = jw.read_columns(written(tmp_path, TEXTS[kind]))
+    found = read_columns(written(tmp_path, TEXTS[kind]))
     assert list(found) == ["control", "fx"]
     np.testing.assert_array_equal([found["control"], found["fx"]], [CONTROL, FX])
 
@@ -36,28 +35,28 @@ def test_numpy_writes_names_behind_a_sign(tmp_path, delimiter):
     path = tmp_path / "saved.txt"
     header = delimiter.join(["control", "fx"])
     np.savetxt(path, np.stack([CONTROL, FX], axis=1), delimiter=delimiter, header=header)
-    found = jw.read_columns(path)
+    found = read_columns(path)
     np.testing.assert_array_equal([found["control"], found["fx"]], [CONTROL, FX])
 
 
 def test_a_preamble_is_skipped_and_columns_are_renamed(tmp_path):
     path = written(tmp_path, LABVIEW + "0.1\t1.5\tstart\n0.2\t\n0.3\t-2\n")
-    found = jw.read_columns(path, columns={"control": "X_Value", "fx": "Force"}, skip=4)
+    found = read_columns(path, columns={"control": "X_Value", "fx": "Force"}, skip=4)
     assert list(found) == ["control", "fx"]
     np.testing.assert_array_equal([found["control"], found["fx"]], [CONTROL, FX])
 
 
 def test_columns_of_text_are_left_out_unless_they_are_asked_for(tmp_path):
     path = written(tmp_path, "name,a\nfirst,1\nsecond,2\n")
-    assert list(jw.read_columns(path)) == ["a"]
+    assert list(read_columns(path)) == ["a"]
     with pytest.raises(ValueError, match=r"`path` must be columns of numbers .*'first' \(name\)"):
-        jw.read_columns(path, columns={"fx": "name"})
+        read_columns(path, columns={"fx": "name"})
 
 
 def test_compressed_files(tmp_path):
     path = tmp_path / "sweep.csv.gz"
     path.write_bytes(gzip.compress(TEXTS["comma"].encode()))
-    np.testing.assert_array_equal(jw.read_columns(path)["control"], CONTROL)
+    np.testing.assert_array_equal(read_columns(path)["control"], CONTROL)
 
 
 @pytest.mark.unchecked
@@ -75,7 +74,7 @@ def test_compressed_files(tmp_path):
 )
 def test_wrong_files(tmp_path, text, options, words):
     with pytest.raises(ValueError, match=words):
-        jw.read_columns(written(tmp_path, text), **options)
+        read_columns(written(tmp_path, text), **options)
 
 
 def test_columns_that_nobody_wants_may_occur_twice(tmp_path):
@@ -85,6 +84,6 @@ def test_columns_that_nobody_wants_may_occur_twice(tmp_path):
 
 def test_files_that_are_none(tmp_path):
     with pytest.raises(ValueError, match=r"`path` must be the path of a CSV file, got .*, which is a directory"):
-        jw.read_columns(tmp_path)
+        read_columns(tmp_path)
     with pytest.raises(ValueError, match=r"which does not exist"):
-        jw.read_columns(tmp_path / "none.csv")
+        read_columns(tmp_path / "none.csv")

@@ -151,13 +151,15 @@ def test_shapes_within_their_errors_are_accepted():
         ),
         (
             lambda: jw.Whisker.from_table(
-                [0.0, 0.01, 0.03], youngs_modulus=3e9, diameter=np.ma.array([2e-4, 9.0, 1e-4], mask=[0, 1, 0])
+                [0.0, 0.01, 0.03],
+                youngs_modulus=3e9,
+                diameter=np.ma.masked_greater([2e-4, 9.0, 1e-4], 1.0),
             ),
             "`diameter` must be a non-empty one-dimensional array of finite numbers, got nan at index 1",
         ),
         (lambda: jw.Whisker.from_points([0.0, 1.0, 2.0], [0.0, 1.0], 0.1), "`y` must be an array of the length of `x`"),
         (
-            lambda: jw.Whisker.from_points(np.ma.array([0.0, 1.0, 2.0], mask=[0, 1, 0]), [0.0, 1.0, 2.0], 0.1),
+            lambda: jw.Whisker.from_points(np.ma.masked_equal([0.0, 1.0, 2.0], 1.0), [0.0, 1.0, 2.0], 0.1),
             "`x` must be .* got nan at index 1",
         ),
         (lambda: jw.Whisker.from_points([0.0, 1.0], [0.0, 1.0], 0.1), "`y` must be an array of the length of `x`"),

@@ -37,7 +37,7 @@ def test_cones_may_be_curved_and_errors_name_them_as_users_do():
     assert jw.Whisker.conical(0.06, 4e10, 4e-4, 2e-4).tapers and not jw.Whisker.conical(0.06, 4e10, 2e-4, 4e-4).tapers
     for call in (jw.Whisker.conical, jw.Whisker.from_material, jw.Whisker.from_points):
         with pytest.raises(TypeError, match=rf"^Whisker\.{call.__name__}\(\) missing"):
-            call(1.0)
+            call(1.0)  # pyright: ignore[reportCallIssue]
 
 
 def test_a_rat_has_the_whiskers_of_the_regressions():

@@ -1,5 +1,7 @@
 """Where scans in space begin and end."""
 
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false
+
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -1,5 +1,7 @@
 """The structure of a study's scenes: what may differ between points, and the hash of the scenes."""
 
+# pyright: reportArgumentType=false
+
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -77,7 +77,7 @@ def clear_of_tangents(profile: AbstractProfile, cells: Cubic, parameter: Scalar)
     """
     points = _points(cells)
 
-    def off(parameter: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, ContactPoint]:
+    def off(parameter: Scalar, x: Array, y: Array) -> tuple[Array, ContactPoint]:
         at = profile.point(parameter)
         return at.off(x, y), at
 

@@ -1,5 +1,7 @@
 """Checks of a recording that need no compilation: information, units, signs and the direction of time."""
 
+from typing import Any
+
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -149,7 +151,7 @@ def check_units_of_guess(observations: Observations, scene: AbstractScene) -> No
             )
 
 
-def _at_guess(scene: AbstractScene) -> Observations:
+def _at_guess(scene: Any) -> Observations:
     """A few signals of a scene on the way right across its object, by the programs that a fit needs anyway."""
     if isinstance(scene, Scene):
         path = follow_path_now(problem_now(jax.tree.map(checks.as_float, scene)), *map(np.asarray, across()))

@@ -5,7 +5,7 @@ foot of the perpendicular: the parameter p at which x - x(p) is orthogonal to th
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -243,13 +243,13 @@ class Surface(AbstractSurface):
     _unit: Scalar  # of points; `function` stays in the user's unit
 
     def __init__(self, function: Callable, inside: Vector):
-        inside = checks.as_tuple(inside)
+        point: Any = checks.as_tuple(inside)
         checks.function("function", function, shape=(3,))
-        checks.triple("inside", inside)
-        self.function, self.inside, self._unit = as_field(function), inside, 1.0
-        level = self.level(as_point(inside))
+        checks.triple("inside", point)
+        self.function, self.inside, self._unit = as_field(function), point, 1.0
+        level = self.level(as_point(point))
         if not checks.is_traced(level) and not level < 0:
-            checks.fail("inside", "a point at which `function` is negative", f"{triple_text(inside)}: {level:.6g}")
+            checks.fail("inside", "a point at which `function` is negative", f"{triple_text(point)}: {level:.6g}")
 
     def level(self, x):
         return jnp.asarray(self.function(x * self._unit), dtype=float)
