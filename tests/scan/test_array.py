@@ -142,7 +142,7 @@ def test_the_left_side_of_a_rat_is_the_mirror_image_of_the_right_one():
         ({"length": [1.0, -1.0]}, "`table`, whisker 2: `length`"),
         ({"length": [1.0, 1.0], "name": ["a", "a"]}, "names that differ from each other, got a, a"),
         (3.0, "a mapping of columns, a DataFrame or the path of a CSV file, got float"),
-        ("nowhere.csv", "the path of a CSV file, got 'nowhere.csv'"),
+        ("nowhere.csv", "the path of a CSV file, got nowhere.csv, which does not exist"),
     ],
 )
 def test_wrong_tables_are_refused(table, words):

@@ -10,7 +10,7 @@ import pytest
 import jaxwhisker as jw
 
 TESTS = Path(__file__).parents[1]
-ELSEWHERE = {"explore"}  # it waits for a browser
+ELSEWHERE = {"explore", "read_columns"}  # the first waits for a browser, the other one uses NumPy alone
 # Largest numbers of operations, with jax 0.10, in this order: later calls share what earlier ones compile. Fewer are
 # better; a new one costs users 20 ms.
 SCANS = {"import": 0, "scan": 2, "shapes": 0, "energy_balance": 4, "stored_energy": 0, "to_csv": 0, "to_dataframe": 0}

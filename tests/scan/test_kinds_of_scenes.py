@@ -148,7 +148,7 @@ def test_the_number_of_programs_of_all_features(found):
         "path": 24,
         "states": 24,
         "events": 24,
-        "detection": 9,
+        "detection": 11,
         "spring lengths": 5,
     }
 

@@ -46,7 +46,9 @@ def test_a_peak_of_rounding_errors_has_no_position():
 
 
 def test_events_that_do_not_fit_are_counted():
-    assert "Only the first 1 of 1,999 events fit" in report.event_table(handmade_scan(count=1999))
+    assert "Only 1 of 1,999 events fit into the result, the first and the last." in report.event_table(
+        handmade_scan(count=1999)
+    )
     assert "Only" not in report.event_table(handmade_scan())
     assert report.event_table(handmade_scan(touching=False)) == "No events."
 
@@ -89,4 +91,4 @@ def test_events_of_a_motion_have_times_with_units():
     ):
         header, _, row, missing = report.timed_event_table(motion, units).splitlines()
         assert header.split() == [*heading, "event", "whisker"] and row.split() == [*expected, "touch", "1"]
-        assert missing == "Only the first 1 of 70 events fit into the result."
+        assert missing == "Only 1 of 70 events fit into the result, the first and the last."

@@ -248,6 +248,7 @@ OTHERS = {
     "animate",
     "deflect",
     "explore",
+    "read_columns",
     "scan",
     "study",
     "summary",

@@ -36,9 +36,10 @@ def read_columns(path: str | Path, *, columns: Mapping[str, str] | None = None, 
             names one that is not there, occurs twice or does not hold numbers, or `skip` is not a number of lines.
 
     Examples:
-        >>> Path("sweep.txt").write_text("drive; Fx in N; Mz\\nmm; N; N mm\\n0,1; 0,25; 1\\n0,2; 0,5; 2\\n")
-        53
-        >>> jw.read_columns("sweep.txt", columns={"control": "drive", "fx": "Fx in N"})
+        >>> import pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp(), "sweep.txt")
+        >>> _ = path.write_text("drive; Fx in N; Mz\\nmm; N; N mm\\n0,1; 0,25; 1\\n0,2; 0,5; 2\\n")
+        >>> jw.read_columns(path, columns={"control": "drive", "fx": "Fx in N"})
         {'control': array([0.1, 0.2]), 'fx': array([0.25, 0.5 ])}
     """
     checks.count("skip", skip, least=0)

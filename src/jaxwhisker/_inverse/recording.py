@@ -160,7 +160,8 @@ def _at_guess(scene: Any) -> Observations:
 
         problem = space_scan.problem_now(jax.tree.map(checks.as_float, scene))
         path = space_scan.follow_path_now(problem, *map(np.asarray, across()))
-    return read_observations(scan(scene, np.linspace(float(path.start), float(path.stop), SAMPLES)))
+    kinds = REACTIONS if isinstance(scene, Scene) else REACTIONS_IN_SPACE
+    return read_observations(scan(scene, np.linspace(float(path.start), float(path.stop), SAMPLES)), kinds=kinds)
 
 
 def _sizes_of(observations: Observations) -> dict[str, float]:

@@ -26,6 +26,7 @@ from jaxwhisker._model.surface import (
     Point,
     Quadric,
     as_point,
+    outermost,
     triple_text,
 )
 
@@ -214,10 +215,6 @@ class Rotational(_AbstractSwept):
         return f"{self.profile}, revolved about its axis"
 
 
-RIDDERS_STEPS = 8  # by which the foot of a plane is known; its error has no effect to first order
-FARTHEST = 1e3  # of a point inside from the point `inside`, the surface may be so many times farther away
-
-
 class Surface(AbstractSurface):
     """User-defined surface G(x) = 0 of a strictly convex object.
 
@@ -259,7 +256,7 @@ class Surface(AbstractSurface):
         inside = self.interior_point()
         out = x - inside
         out = jnp.where(jnp.all(out == 0), jnp.array([1e-9, 0.0, 0.0]), out)
-        foot = inside + _crossing(lambda share: self.level(inside + share * out)) * out
+        foot = inside + outermost(lambda share: self.level(inside + share * out)) * out
         normal = self.normal(foot)
         return jnp.sum(normal * (x - foot)) + self.off(foot), normal
 
@@ -275,36 +272,6 @@ class Surface(AbstractSurface):
 
     def __str__(self):
         return f"surface {name_of(self.function)}(x) = 0"
-
-
-def _crossing(level: Callable) -> Float[Array, ""]:
-    """Where a function, negative at 0, becomes positive, at most at `FARTHEST`; by Ridders' method."""
-    middle = jnp.asarray(0.5)
-
-    def at(place):  # from 0 to 1, so that distances of any size are within reach
-        return level(place / (1 - place))
-
-    here = at(middle)
-    outside = here > 0
-    low, high = jnp.where(outside, 0.0, middle), jnp.where(outside, middle, FARTHEST / (1 + FARTHEST))
-    below, above = jnp.where(outside, at(jnp.zeros(())), here), jnp.where(outside, here, at(high))
-
-    def improve(_, state):
-        low, high, below, above = state
-        middle = (low + high) / 2
-        between = at(middle)
-        root = jnp.sqrt(between**2 - below * above)
-        new = jnp.clip(middle - (middle - low) * between / jnp.where(root > 0, root, 1.0), low, high)
-        value = at(new)
-        for place, own in ((middle, between), (new, value)):
-            inner, inside = (place >= low) & (place <= high), own < 0
-            low, below = jnp.where(inner & inside, place, low), jnp.where(inner & inside, own, below)
-            high, above = jnp.where(inner & ~inside, place, high), jnp.where(inner & ~inside, own, above)
-        return low, high, below, above
-
-    low, high, below, above = jax.lax.fori_loop(0, RIDDERS_STEPS, improve, (low, high, below, above))
-    place = jnp.where(-below < above, low, high)
-    return place / (1 - place)
 
 
 def _check_without_edges(profile: AbstractProfile) -> None:

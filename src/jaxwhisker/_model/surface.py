@@ -5,6 +5,7 @@ they are placed, so that scenes with any of them share their programs.
 """
 
 import abc
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -19,6 +20,8 @@ from jaxwhisker._base.types import Scalar, Triple, Vector
 
 Point = Float[Array, "3"]
 NOWHERE = (0.0, 0.0, 0.0)
+RIDDERS_STEPS = 8  # by which a point of the surface is found; errors of planes there are of second order
+FARTHEST = 1e3  # of a point inside from the object's inner point, the surface may be so many times farther away
 
 
 class AbstractSurface(eqx.Module):
@@ -276,3 +279,33 @@ def _turned(turn: Float[Array, "3 3"], matrix: Float[Array, "3 3"]) -> Float[Arr
     """turn @ matrix @ turn.T, of a symmetric matrix."""
     half = jnp.sum(turn[:, :, None] * matrix, axis=1)
     return jnp.sum(half[:, None, :] * turn, axis=-1)
+
+
+def outermost(level: Callable) -> Float[Array, ""]:
+    """Where a function, negative at 0, becomes positive, at most at `FARTHEST`; by Ridders' method."""
+    middle = jnp.asarray(0.5)
+
+    def at(place):  # from 0 to 1, so that distances of any size are within reach
+        return level(place / (1 - place))
+
+    here = at(middle)
+    outside = here > 0
+    low, high = jnp.where(outside, 0.0, middle), jnp.where(outside, middle, FARTHEST / (1 + FARTHEST))
+    below, above = jnp.where(outside, at(jnp.zeros(())), here), jnp.where(outside, here, at(high))
+
+    def improve(_, state):
+        low, high, below, above = state
+        middle = (low + high) / 2
+        between = at(middle)
+        root = jnp.sqrt(between**2 - below * above)
+        new = jnp.clip(middle - (middle - low) * between / jnp.where(root > 0, root, 1.0), low, high)
+        value = at(new)
+        for place, own in ((middle, between), (new, value)):
+            inner, inside = (place >= low) & (place <= high), own < 0
+            low, below = jnp.where(inner & inside, place, low), jnp.where(inner & inside, own, below)
+            high, above = jnp.where(inner & ~inside, place, high), jnp.where(inner & ~inside, own, above)
+        return low, high, below, above
+
+    low, high, below, above = jax.lax.fori_loop(0, RIDDERS_STEPS, improve, (low, high, below, above))
+    place = jnp.where(-below < above, low, high)
+    return place / (1 - place)

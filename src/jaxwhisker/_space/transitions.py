@@ -120,7 +120,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         unstable_size=march.unstable_size / 2,
     )
     if slip is not None:
-        assert stance.grip is not None and march.stance.grip is not None
+        assert stance.grip is not None and march.stance.grip is not None and march.sunk is not None
         begins = jnp.any(slip.begins)
         wrong = begins & (~good | jnp.any(slip.begins & (stance.grip < 0)))
         # A contact sticks or slips for a while behind a corner. What seems to end at once is another solution.
@@ -129,11 +129,8 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         good &= ~wrong & ~ends
         # Where contacts can neither stick nor slip, no equilibrium is near.
         astray = trial.solution.converged & ends & ~begins & (march.step < BRIEF_STEP)
-        assert march.sunk is not None
-        leaves = march.sunk & (stance.nearest.distance == 0)
-        moved = moved._replace(
-            slip=slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins)), sunk=leaves
-        )
+        slip_on = slip._replace(at_corner=jnp.asarray(False), begins=jnp.zeros_like(slip.begins))
+        moved = moved._replace(slip=slip_on, sunk=march.sunk & (stance.nearest.distance == 0))
         shorter = shorter._replace(step=jnp.where(wrong | ends, 0.4 * march.step, shorter.step))
         guess, traction = next_guess(slip, march.point.z[:, TRACTION])
         again = march._replace(slip=guess, point=with_traction(march.point, traction))
