@@ -2,8 +2,8 @@
 
 python benchmarks/soak_curved.py [scenes]     default 10,000; five minutes on two cores
 
-Ordinary scenes of uniform and conical whiskers with intrinsic curvature on FB, past parabolas, circles and ellipses, with
-the default of `detect`. The points of every shaft with the status ok are compared with the outline itself.
+Ordinary scenes of uniform and conical whiskers with intrinsic curvature on FB, past parabolas, circles and ellipses,
+with the default of `detect`. The points of every shaft with the status ok are compared with the outline itself.
 """
 
 import sys
