@@ -1,5 +1,6 @@
 """Checks of a recording that need no compilation: information, units, signs and the direction of time."""
 
+import warnings
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ from jaxwhisker._inverse.observations import Channel, Observations, read_observa
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.scene import Scene, Sensor, units_of
+from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import across, turns_of
 from jaxwhisker._scan.scan import follow_path_now, problem_now, scan
@@ -139,7 +141,10 @@ def check_units_of_guess(observations: Observations, scene: AbstractScene) -> No
     Raises:
         ValueError: if two of them differ by such a factor; the message names it and them.
     """
-    measured, model = _sizes_of(observations), _sizes_of(_at_guess(scene))
+    guessed = _at_guess(scene)
+    if guessed is None:
+        return
+    measured, model = _sizes_of(observations), _sizes_of(guessed)
     ratio = {name: measured[name] / size for name, size in model.items() if measured[name] > 0 and size > 0}
     for factor, near in UNIT_FACTORS.items():
         off = [name for name, value in ratio.items() if factor / near < value < factor * near]
@@ -151,17 +156,24 @@ def check_units_of_guess(observations: Observations, scene: AbstractScene) -> No
             )
 
 
-def _at_guess(scene: Any) -> Observations:
-    """A few signals of a scene on the way right across its object, by the programs that a fit needs anyway."""
+def _at_guess(scene: Any) -> Observations | None:
+    """A few signals of a scene on the way right across its object, by the programs that a fit needs anyway.
+
+    None if the scene cannot be scanned, which the fit will report.
+    """
     if isinstance(scene, Scene):
-        path = follow_path_now(problem_now(jax.tree.map(checks.as_float, scene)), *map(np.asarray, across()))
+        made, follow, kinds = problem_now, follow_path_now, REACTIONS
     else:
         from jaxwhisker._scan import space_scan
 
-        problem = space_scan.problem_now(jax.tree.map(checks.as_float, scene))
-        path = space_scan.follow_path_now(problem, *map(np.asarray, across()))
-    kinds = REACTIONS if isinstance(scene, Scene) else REACTIONS_IN_SPACE
-    return read_observations(scan(scene, np.linspace(float(path.start), float(path.stop), SAMPLES)), kinds=kinds)
+        made, follow, kinds = space_scan.problem_now, space_scan.follow_path_now, REACTIONS_IN_SPACE
+    problem = made(jax.tree.map(checks.as_float, scene))
+    path, start, stop = follow(problem, *map(np.asarray, across()))
+    if int(path.status) != Status.ok:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # about the resolution of whiskers, which the fit repeats
+        return read_observations(scan(scene, np.linspace(float(start), float(stop), SAMPLES)), kinds=kinds)
 
 
 def _sizes_of(observations: Observations) -> dict[str, float]:
