@@ -173,3 +173,10 @@ def test_losses_of_lateral_stability_are_marked_in_the_colours_of_whiskers(resul
     # Whiskers that stay in the plane have no marks.
     (free,) = plot.lateral_losses(result, np.array([np.nan, np.nan]), axs=[plot.signal(result, "fx")])
     assert not free.patches and not free.texts
+
+
+def test_long_titles_of_overviews_are_broken_into_lines(result, monkeypatch):
+    assert "\n" not in plot.overview(result).get_suptitle()
+    monkeypatch.setattr("jaxwhisker.plot.signals.LETTERS", 2)
+    title = plot.overview(result).get_suptitle()
+    assert title.split() == str(result.scene).split() and max(map(len, title.split("\n"))) <= 22

@@ -1,6 +1,7 @@
 """Figures of quantities over the control or time: reactions, spring lengths, comparisons, and an overview."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ NAMES_OF_AXES |= {axis: rf", $\varphi{axis[3:]}$" for axis in ("phi", "phi_x", "
 FRICTION_FORCES = "normal_force", "friction_x", "friction_y", "friction_z"
 LEAST_HEIGHT = 1e-3  # of an axis, dimensionless: rounding errors of a constant quantity stay invisible
 LEAST_EXTENSION = 1e-9  # the same for extensions, which are small if springs are stiff
+LETTERS = 12  # per inch in the title of an overview
 
 
 def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
@@ -72,7 +74,7 @@ def overview(result: Run, *, view: Any = None, units: str = "auto") -> Figure:
     friction = FRICTION_FORCES if isinstance(result, SpaceResult) and result.scene.friction is not None else ()
     rows = ROWS + len(friction) // 2 + springs
     figure = Figure(figsize=(11, 6.5) if columns == 1 else (14, 1.9 * rows + 0.8), layout="constrained")
-    figure.suptitle(str(result.scene), fontsize=11)
+    figure.suptitle(fill(str(result.scene), int(LETTERS * figure.get_figwidth())), fontsize=11)
     grid = figure.add_gridspec(rows, 1 + columns, width_ratios=(1, 1.2) if columns == 1 else (1.3, 1, 1))
     camera = isinstance(result, SpaceResult) and not isinstance(view, str)
     left = figure.add_subplot(grid[:, 0], projection="3d" if camera else None)
