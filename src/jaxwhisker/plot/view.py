@@ -228,8 +228,9 @@ def shades_of(body: Body) -> Float[np.ndarray, " faces"]:
 
 def _set_ticks(spans: np.ndarray, *axes: Any) -> None:
     step = rounded(float(np.max(spans)) / TICKS)
-    for axis in axes:
-        axis.set_major_locator(MultipleLocator(step))
+    for axis, span in zip(axes, spans, strict=True):
+        # Short axes have two ticks at least.
+        axis.set_major_locator(MultipleLocator(min(step, rounded(float(span) / 2.5))))
 
 
 def _paler(style: dict[str, Any], body: Body | None) -> dict[str, Any]:
