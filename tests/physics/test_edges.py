@@ -307,7 +307,6 @@ def test_a_curved_whisker_that_meets_two_corners_is_detected():
     curved = scene(LOW, whisker=jw.Whisker(intrinsic_curvature=0.5))
     found = jw.scan(curved, CONTROL)
     assert set(np.unique(np.asarray(found.status))) == {jw.Status.ok, jw.Status.second_contact}
-    assert scene(LOW).detects == ("second_contact",) and scene(jw.Parabola(0.2)).detects == ()
 
 
 def test_a_cut_profile_is_the_profile_between_its_ends():

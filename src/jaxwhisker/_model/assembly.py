@@ -70,7 +70,7 @@ def support_text(support: Support) -> str:
     n, springs = support.whiskers, len(support.springs)
     counted = [f"{n} whisker" + "s" * (n > 1), *[f"{springs} spring" + "s" * (springs > 1)] * (springs > 0)]
     mount = str(support.mounts[0]) if n == 1 else str(Mount())
-    return f"{support.name}: {', '.join(counted)}" + f" at {mount}" * (mount != str(Mount()))
+    return f"{support.name}: {', '.join(counted)}" + f", mount {mount}" * (mount != str(Mount()))
 
 
 def motion_text(motion: Any) -> str:

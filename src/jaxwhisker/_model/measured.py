@@ -164,13 +164,14 @@ def _simple(value: Any) -> Any:
 def _fitted(points: np.ndarray, error: float) -> tuple[float, Any]:
     """Length and intrinsic curvature of the smoothest shape that passes the points within their error."""
     from scipy.optimize import least_squares  # scipy is loaded with the first digitised whisker
-    from scipy.special import chdtrc
+    from scipy.special import chdtrc, chdtri
 
     steps = np.hypot(*np.diff(points, axis=0).T)
     chord, along = points[-1] - points[0], np.concatenate([[0.0], np.cumsum(steps)])
     scale = along[-1]
     start = np.array([0.0, np.arctan2(chord[1], chord[0])])
     places, along = (points - points[0]) / scale, along / scale
+    found, least = None, np.inf
     for degree in range(-1, MOST_DEGREE + 1):
         start = start if degree < 0 else np.append(start, 0.0)
         free = places.shape[0] - start.size
@@ -183,8 +184,14 @@ def _fitted(points: np.ndarray, error: float) -> tuple[float, Any]:
         )
         start = solved.x
         off, feet = _distances(start, places, along)
-        if chdtrc(free, np.sum((off * scale / error) ** 2)) >= LEAST_CHANCE:
-            return _curvature(start[2:], feet[0], feet[-1], scale)
+        chi2 = np.sum((off * scale / error) ** 2)
+        # By chance, one coefficient more explains as much as this in one of a thousand shapes.
+        if found is not None and least - chi2 < chdtri(1, LEAST_CHANCE):
+            break
+        if found is not None or chdtrc(free, chi2) >= LEAST_CHANCE:
+            found, least = _curvature(start[2:], feet[0], feet[-1], scale), chi2
+    if found is not None:
+        return found
     rms = scale * np.sqrt(np.mean(off**2))
     checks.fail("error", f"at least the distances of the points from a smooth shape (about {rms:.2g})", error)
 
