@@ -77,6 +77,11 @@ def test_wrong_files(tmp_path, text, options, words):
         read_columns(written(tmp_path, text), **options)
 
 
+def test_a_first_row_without_values_is_no_line_of_units(tmp_path):
+    found = read_columns(written(tmp_path, "control,fx\nNA,\n0.1,1.5\n"))
+    np.testing.assert_array_equal(found["control"], [np.nan, 0.1])
+
+
 def test_columns_that_nobody_wants_may_occur_twice(tmp_path):
     path = written(tmp_path, "control,x,x\n1,2,3\n")
     assert cells_of("measured", path, {"control"}.__contains__)["control"] == ("1",)

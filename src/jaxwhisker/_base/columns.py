@@ -82,7 +82,8 @@ def cells_of(
         header = lines[above - 1].lstrip(COMMENT).strip()
         header = header if separator in header else re.sub(r"\s+", "\t", header).replace("\t", separator)
         names, rows = split([header])[0], [names, *rows]
-    if len(rows) > 1 and not any(map(_is_number, rows[0])):  # units
+    units = bool(rows) and any(cell not in MISSING for cell in rows[0]) and not any(map(_is_number, rows[0]))
+    if len(rows) > 1 and units:
         rows = rows[1:]
     # A last column of comments may be missing in some rows.
     rows = [row + [""] * (0 if any(map(wanted, names[len(row) :])) else len(names) - len(row)) for row in rows]

@@ -32,8 +32,8 @@ REST = 1e-9  # lengths that a contact at rest may slide in the longest time
 FLOW_STEPS = 400
 # Where contacts stick and slip in turn before they come free, each cycle is shorter than the one before, in proportion
 # to the force. At last, a force cannot be told from rounding errors: the contact is released a little early.
-LIGHT = 5e-4  # dimensionless force of such a contact
-SUNK = 1e-4  # lengths by which its unloaded whisker may still be inside the object
+LIGHT = 2e-4  # dimensionless force of such a contact
+SUNK = 5e-5  # lengths by which its unloaded whisker may still be inside the object
 SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
 
 
