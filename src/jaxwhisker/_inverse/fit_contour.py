@@ -171,7 +171,7 @@ def fit_contour(
     Raises:
         ValueError: if an argument is wrong, or `measured` shows too few contacts.
     """
-    if _in_space(measured) or family is not None:
+    if _in_space(measured) or (family is not None and sensor is None):
         _check_left_out(
             "in space", sensor=sensor, sigma=sigma, parameters=parameters, unknown=unknown or None, guess=guess
         )
