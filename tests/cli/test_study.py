@@ -60,7 +60,7 @@ def peaks(failed, max_fy):
     attrs = {"points": "in words", "scene": "FB", "typical_force": 9.6e-3, "typical_length": 0.05}
     data = xr.Dataset(values | {"steps_failed": ("stiffness", failed)}, coords, attrs)
     for name in (*names, "max_fy"):
-        data[name].attrs["units"] = {"max_mz": "force length", "contact_width": "length"}.get(name, "force")
+        data[name].attrs["units"] = {"max_mz": "N m", "contact_width": "m"}.get(name, "N")
     return data
 
 

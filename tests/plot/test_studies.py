@@ -26,14 +26,14 @@ def test_maps_share_a_scale():
 def test_scenes_that_are_not_dimensionless_have_si_units():
     data = summarised()
     data.attrs = {"typical_force": 9.6e-3, "typical_length": 0.05}
-    for name, units in {"stiffness": "force/length", "distance": "length", "max_mz": "force length"}.items():
+    for name, units in {"stiffness": "N/m", "distance": "m", "max_mz": "N m"}.items():
         data[name].attrs["units"] = units
     axs = plot.study(data, critical=steepness(data))
     assert axs[0].get_xlabel() == "stiffness (N/m)" and axs[0].get_ylabel() == "distance (mm)"
     np.testing.assert_allclose(axs[0].collections[0].get_clim(), 1e6 * np.array([data.max_mz.min(), data.max_mz.max()]))
     assert axs[0].get_xlim() == pytest.approx((25.0, 95.0)) and axs[0].get_ylim() == pytest.approx((50.0, 350.0))
     stored = plot.study(data, critical=steepness(data), units="stored")
-    assert stored[0].get_xlabel() == "stiffness (force/length)"
+    assert stored[0].get_xlabel() == "stiffness (N/m)"
     assert stored[0].get_ylim() == pytest.approx((0.05, 0.35))
 
 
@@ -42,7 +42,7 @@ def test_the_critical_curve_has_the_units_of_the_map(known):
     data = summarised()
     critical = steepness(data)
     data.attrs = {"typical_force": 9.6e-3, "typical_length": 0.05}
-    for name, units in {"stiffness": "force/length", "distance": "length", "max_mz": "force length"}.items():
+    for name, units in {"stiffness": "N/m", "distance": "m", "max_mz": "N m"}.items():
         data[name].attrs["units"] = units
         if name in critical.coords:
             critical[name].attrs = dict(data[name].attrs) if known else {}
@@ -62,7 +62,7 @@ def test_the_critical_stiffness_is_interpolated():
 def made_image(**attributes):
     """An image of two whiskers; fx is known everywhere, my is zero, and one scan fails halfway."""
     rows, columns = np.meshgrid(OFFSETS, CONTROL, indexing="ij")
-    dims, units = ("offset", "control", "whisker"), ("force", "force length", "length")
+    dims, units = ("offset", "control", "whisker"), ("N", "N m", "m")
     if not attributes:
         units = "EI/L^2", "EI/L", "L"
     force, moment, length = ({"units": unit} for unit in units)
@@ -112,7 +112,7 @@ def test_images_in_si_units():
     assert axs[0].get_ylabel() == "offset (mm)" and axs[1].child_axes[0].get_ylabel() == "$f_x$ (mN)"
     np.testing.assert_allclose(shown(axs[0]), 1e3 * np.minimum(0.3 + 3 * CONTROL**2, 0.3 + length) + 0 * shown(axs[0]))
     stored = plot.tactile_image(data, "fx", units="stored", axs=axs)
-    assert stored[0].get_ylabel() == "offset (length)" and list(stored) == list(axs)
+    assert stored[0].get_ylabel() == "offset (m)" and list(stored) == list(axs)
 
 
 def test_a_whisker_that_passes_no_object_has_an_image():

@@ -64,7 +64,11 @@ def test_points_in_words_are_sorted_by_their_number():
 def test_has_the_units_of_the_scene(result):
     assert result.to_xarray().fx.attrs["units"] == "EI/L^2"
     long = eqx.tree_at(lambda r: r.scene.whisker.length, result, jnp.asarray(2.0))
-    assert long.to_xarray().fx.attrs["units"] == "force"
+    data = long.to_xarray()
+    units = {"fx": "N", "mz": "N m", "control": "m", "base_angle": "rad", "event_energy_before": "N m", "phase": "1"}
+    assert {name: data[name].attrs["units"] for name in units} == units
+    assert "SI units" in data.attrs["units_comment"] and "units_comment" not in result.to_xarray().attrs
+    np.testing.assert_array_equal(data.fx, result.fx)  # in metres and newtons, without prefixes
 
 
 @pytest.mark.parametrize(

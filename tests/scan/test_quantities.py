@@ -168,17 +168,25 @@ def test_prefixes_leave_one_to_three_digits(size, unit):
 @pytest.mark.parametrize(
     ("words", "unit"),
     [
-        ("force", ("mN", 1e-3)),
-        ("force length", ("mN mm", 1e-6)),
-        ("force/length", ("N/m", 1.0)),
-        ("force length^2", ("mN mm^2", 1e-9)),
-        ("1/length", ("1/mm", 1e3)),
-        ("length/force^2", ("mm/mN^2", 1e3)),
-        ("rad/length", ("rad/mm", 1e3)),
+        ("N", ("mN", 1e-3)),
+        ("N m", ("mN mm", 1e-6)),
+        ("N/m", ("N/m", 1.0)),
+        ("N m^2", ("mN mm^2", 1e-9)),
+        ("1/m", ("1/mm", 1e3)),
+        ("m/N^2", ("mm/mN^2", 1e3)),
+        ("rad/m", ("rad/mm", 1e3)),
+        ("N/rad", ("mN/rad", 1e-3)),
         ("1", ("1", 1.0)),
+        # Datasets of earlier versions
+        ("force length", ("mN mm", 1e-6)),
+        ("rad/length", ("rad/mm", 1e3)),
+        # units that are shown already, or that a user has given
+        ("mN mm", ("mN mm", 1.0)),
+        ("kN/m", ("kN/m", 1.0)),
+        ("m/s", ("m/s", 1.0)),
     ],
 )
-def test_units_in_words_become_si_units(words, unit):
+def test_units_in_words_get_prefixes(words, unit):
     found = in_si(words, 9.6e-3, 0.05)
     assert found.name == unit[0] and found.size == pytest.approx(unit[1])
 
@@ -190,13 +198,16 @@ def test_prefixes_end_at_giga():
 @pytest.mark.parametrize(
     ("kind", "per", "scaled", "own"),
     [
-        ("force", "number", "EI/L^2", "force"),
-        ("moment", "number", "EI/L", "force length"),
-        ("energy", "length", "EI/L^2", "force"),
-        ("stiffness", "number", "EI/L^3", "force/length"),
-        ("length", "stiffness", "L^4/EI", "length^2/force"),
-        ("angle", "length", "rad/L", "rad/length"),
-        ("force", "angle", "EI/L^2 rad", "force/rad"),
+        ("force", "number", "EI/L^2", "N"),
+        ("moment", "number", "EI/L", "N m"),
+        ("energy", "length", "EI/L^2", "N"),
+        ("stiffness", "number", "EI/L^3", "N/m"),
+        ("bending stiffness", "number", "EI", "N m^2"),
+        ("curvature", "number", "1/L", "1/m"),
+        ("length", "stiffness", "L^4/EI", "m^2/N"),
+        ("angle", "length", "rad/L", "rad/m"),
+        ("force", "angle", "EI/L^2 rad", "N/rad"),
+        ("time", "number", "T", "s"),
         ("number", "number", "1", "1"),
         ("angle", "angle", "1", "1"),
     ],

@@ -101,7 +101,7 @@ def test_each_whisker_has_its_own_path(heights):
     expected = np.where(square > 0, centre[1] - np.sqrt(np.maximum(square, 0.0)), np.nan)
     assert 2 < np.isfinite(expected[:, 0]).sum() != np.isfinite(expected[:, 1]).sum()
     found = heights(build, offset=[0.01], control=CONTROL / 20)
-    assert found.attrs["units"] == "length"
+    assert found.attrs["units"] == "m"
     np.testing.assert_allclose(found[0], expected, rtol=0, atol=HEIGHT)
 
 

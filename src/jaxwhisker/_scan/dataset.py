@@ -16,6 +16,7 @@ from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
+    ASSUMED,
     ABSENT_IN_SPACE,
     CONTROL,
     DIRECTORS,
@@ -128,6 +129,7 @@ class SceneLayout(NamedTuple):
             "python_version": platform.python_version(),
             "date": datetime.now(UTC).isoformat(timespec="seconds"),
             "Conventions": "CF-1.11",
+            **({} if self.dimensionless else {"units_comment": ASSUMED}),
         } | {f"typical_{name}": size for name, size in self.sizes.items()}
 
 

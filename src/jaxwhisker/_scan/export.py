@@ -1,6 +1,7 @@
 """Scans, simulations, deflections and studies as tables: every signal by name, for other programs."""
 
 import math
+import re
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,16 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import AbstractScene, Sensor, time_unit
 from jaxwhisker._scan.deflect import Deflection
-from jaxwhisker._scan.quantities import DIRECTORS, MOTION, STATE, is_dimensionless, kind_of, quantity, unit_in_words
+from jaxwhisker._scan.quantities import (
+    ASSUMED,
+    DIRECTORS,
+    MOTION,
+    STATE,
+    is_dimensionless,
+    kind_of,
+    quantity,
+    unit_in_words,
+)
 from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
 from jaxwhisker._scan.state import State
@@ -21,7 +31,6 @@ if TYPE_CHECKING:
 # Columns of a deflection, and their kinds.
 POINTS = {"s": "length", "x": "length", "y": "length", "angle": "angle", "curvature": "curvature"}
 NUMBERED = ("whisker", "spring", *DIRECTORS)  # dimensions of a Dataset whose labels become parts of names
-OWN_UNITS = "force, length and time are in the units of the scene's numbers, such as N, m and s"
 CODES = "phase 0 free, 1 tip, 2 tangential; status 0 ok"
 
 
@@ -96,15 +105,15 @@ def header(result: Any) -> str:
             named = {"time": _unit("time", scene)} | named
         text = str(scene)
     units = ", ".join(f"{name} ({unit})" for name, unit in named.items() if unit != "1")
-    own = f"; {OWN_UNITS}" * any(word in units for word in ("force", "length", "time)"))
-    return f"{text}; units: {units}{own}{codes}"
+    assumed = f"; {ASSUMED}" * bool(re.search(r"[( /](N|m|s)\b", units))
+    return f"{text}; units: {units}{assumed}{codes}"
 
 
 def _unit(kind: str, scene: AbstractScene | Sensor) -> str:
     """The unit of stored numbers, in words."""
     dimensionless = is_dimensionless(scene)
-    if kind == "time":  # of scenes with L = EI = 1, in T only if the mass per length is 1, too
-        dimensionless &= bool(time_unit(scene.whiskers[0]) == 1)
+    if kind == "time" and dimensionless and time_unit(scene.whiskers[0]) != 1:
+        return "time"  # L = EI = 1, but the mass per length is another one
     return unit_in_words(kind, dimensionless)
 
 

@@ -27,6 +27,7 @@ KINDS = {
     "angle": (0, 0),
     "number": (0, 0),
 }
+ASSUMED = "the numbers of the scene are taken to be in SI units"  # unless it is dimensionless
 CONTROL = "control"  # kind of drive positions: a length, an angle or a number, depending on the motion
 
 
@@ -293,24 +294,35 @@ def with_prefix(base: str, size: float) -> Unit:
 
 
 def unit_in_words(kind: str, dimensionless: bool, per: str = "number") -> str:
-    """The unit of a kind of quantity, or of its derivative by another kind: in L and EI, or as `force` and `length`.
+    """The unit of a kind of quantity, or of its derivative by another kind: in L and EI, or in SI units.
 
-    Datasets and files hold numbers in the scene's own units, whose names the library does not know.
+    Datasets and files hold the scene's own numbers. Those of scenes that are not dimensionless are taken to be in SI
+    units, as in figures.
     """
     if kind == "time":
-        return "T" if dimensionless else "time"
+        return "T" if dimensionless else "s"
     force, length = (a - b for a, b in zip(KINDS[kind], KINDS[per], strict=True))
-    powers = {"EI": force, "L": length - 2 * force} if dimensionless else {"force": force, "length": length}
+    powers = {"EI": force, "L": length - 2 * force} if dimensionless else {"N": force, "m": length}
     return _product({"rad": (kind == "angle") - (per == "angle")} | powers)
 
 
+_EARLIER = {"force": "N", "length": "m"}  # units in Datasets of earlier versions
+
+
 def in_si(words: str, force: float, length: float) -> Unit:
-    """The SI unit for a unit in terms of `force` and `length`, with prefixes that suit their sizes; others stay."""
-    powers = {"force": 0, "length": 0}
+    """The unit in words, with prefixes that suit the sizes of force and length, if it consists of N, m and rad.
+
+    Datasets of earlier versions have `force` for N and `length` for m. Other units stay as they are.
+    """
+    powers = {"N": 0, "m": 0}
     for sign, product in zip((1, -1), words.split("/"), strict=False):
-        powers |= {name: sign * int(power or 1) for name, _, power in (part.partition("^") for part in product.split())}
-    own = with_prefix("N", force), with_prefix("m", length), powers.pop("force"), powers.pop("length")
-    return _combined(*own, {name: power for name, power in powers.items() if name != "1"})
+        for name, _, power in (part.partition("^") for part in product.split()):
+            powers[_EARLIER.get(name, name)] = sign * int(power or 1)
+    powers.pop("1", None)
+    if not powers.keys() <= {"N", "m", "rad"}:
+        return Unit(words, 1.0)
+    own = with_prefix("N", force), with_prefix("m", length), powers.pop("N"), powers.pop("m")
+    return _combined(*own, powers)
 
 
 def _combined(
