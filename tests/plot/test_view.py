@@ -7,6 +7,7 @@
 import numpy as np
 import pytest
 from matplotlib import pyplot
+from matplotlib.colors import to_hex
 from mpl_toolkits.mplot3d import proj3d
 
 import jaxwhisker as jw
@@ -125,3 +126,13 @@ def test_axes_must_suit_the_view():
         check_view((10.0, 20.0), plain)
     with pytest.raises(ValueError, match="`view` must be None in the plane, got 'xy'"):
         check_no_view("xy")
+
+
+def test_grid_lines_end_at_the_edges_of_their_panes():
+    ax = drawn((15.0, 35.0)).ax
+    ax.figure.canvas.draw()
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        assert axis.pane.get_edgecolor()[3] == 1.0 and axis.pane.get_facecolor()[3] == 0.0
+        assert axis.pane.get_closed() and axis.pane.get_alpha() is None
+        edge, grid = (to_hex(colour) for colour in (axis.pane.get_edgecolor(), axis.gridlines.get_edgecolor()[0]))
+        assert edge == grid

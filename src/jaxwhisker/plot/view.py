@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from matplotlib import rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
@@ -30,6 +31,7 @@ LIGHT = np.array([-0.35, 0.8, 0.5]) / np.linalg.norm([-0.35, 0.8, 0.5])
 TICKS = 4  # about so many along the longest side
 FILLED = np.array([0.7, 0.84])  # of the Axes, across and up, by the box of a camera
 SIZE = (5.8, 5.2)  # inches, of a figure by a camera
+LABEL_PAD = 8.0  # points from the numbers of an axis in space to its label
 RING = {"marker": "o", "linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 2}
 ARROW = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
 
@@ -170,6 +172,10 @@ class Turned:
         ax.view_init(elev=view[0], azim=view[1], vertical_axis="y")
         for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
             axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+            # Grid lines end at the edges of their pane, which therefore look like them.
+            edges = {"edgecolor": rcParams["grid.color"], "linewidth": rcParams["grid.linewidth"]}
+            axis.labelpad = LABEL_PAD
+            axis.pane.set(facecolor="none", alpha=None, closed=True, joinstyle="round", **edges)
 
     def line(self, points: Points, body: Body | None = None, **style: Any) -> Drawn:
         """A line through points; where the body hides it, it is paler."""
