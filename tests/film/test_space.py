@@ -52,8 +52,27 @@ def test_whiskers_move_and_stay_in_the_window(in_space, film, view):
         for line, (low, high) in zip(lines, limits, strict=True):
             assert np.all((line > low) & (line < high))
     assert len(canvas.curves.axes) == 6
-    assert [ax.get_ylabel() for ax in canvas.curves.axes][::5] == ["$f_x$ (mN)", "$m_z$ (mN mm)"]
+    assert [ax.get_ylabel() for ax in canvas.curves.axes][::5] == ["$f_x$ (mN)", "$m_z$\n(mN mm)"]
     np.testing.assert_allclose(canvas.curves._heads[2][0].get_xydata()[0], [MM * -0.039, MM * film[0].state.fz[30, 0]])
+
+
+@pytest.mark.parametrize("units", ["SI", "dimensionless"])
+@pytest.mark.parametrize("width", [320, 640, 1280])
+def test_labels_and_numbers_of_curves_stay_in_their_rows(in_space, film, units, width):
+    canvas = Canvas(in_space, *film, fps=25, width=width, units=units)
+    canvas.image(0)
+    scene = canvas.stage.axes.bbox.x1
+    for ax in canvas.curves.axes:
+        label = ax.yaxis.label.get_window_extent()
+        assert ax.bbox.y0 <= label.y0 and label.y1 <= ax.bbox.y1 and scene < label.x0
+        numbers = [
+            text.get_window_extent()
+            for text in ax.get_yticklabels()
+            if ax.get_ylim()[0] <= text.get_position()[1] <= ax.get_ylim()[1]
+        ]
+        assert numbers and label.x1 < min(number.x0 for number in numbers)
+        room = 0.06 * ax.bbox.height
+        assert all(ax.bbox.y0 - room < number.y0 and number.y1 < ax.bbox.y1 + room for number in numbers)
 
 
 @pytest.mark.parametrize("view", ["xz", (15.0, 35.0)], ids=str)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import objects_of
@@ -39,6 +40,7 @@ STAGE, CURVES = (0.67, 4.7), (6.35, 3.1)  # position from the left, and width
 STAGE_ROOM = 0.03  # around moving parts, as a share of the window
 WORDS_ROOM = 0.1  # above them
 CURVE_ROOM = 0.08  # above and below curves, as a share of their height
+NUMBER_ROOM = 0.06  # half the height of a number, as a share of the lowest row
 FLASH = 0.5  # seconds for which an event flashes; a snap flashes for so long after it is over
 MOST_LABELS = 3  # largest number of events that flash at once; only the latest are shown
 WARNING = "#B00000"
@@ -237,7 +239,8 @@ class Curves:
             ax.set_ylim(*_limits(both, CURVE_ROOM, LEAST_HEIGHT * system.scale(kind_of(name, system.scene))))
             ax.set_ylabel(system.label(name))
             ax.grid(alpha=0.3)
-            ax.locator_params(axis="y", nbins=4)
+            _break_label(ax)
+            ax.yaxis.set_major_locator(_Within(nbins=4, steps=[1, 2, 2.5, 5, 10]))
             ax.tick_params(labelbottom=ax is self.axes[-1])
             own = [colour(k) for k in range(values.shape[1])]
             self._curves.append([ax.plot([], [], color=c, linewidth=1.4)[0] for c in own])
@@ -252,6 +255,20 @@ class Curves:
             for k, (curve, head) in enumerate(zip(curves, heads, strict=True)):
                 curve.set_data(self._over[:upto], values[:upto, k])
                 head.set_data([here], [now[frame, k]])
+
+
+class _Within(MaxNLocator):
+    """Ticks away from the ends of an axis, where numbers would reach into the next row."""
+
+    def tick_values(self, vmin: float, vmax: float) -> np.ndarray:
+        ticks, room = np.asarray(super().tick_values(vmin, vmax)), NUMBER_ROOM * (vmax - vmin)
+        return ticks[(vmin + room <= ticks) & (ticks <= vmax - room)]
+
+
+def _break_label(ax: Axes) -> None:
+    """Put the unit of the y axis on a line of its own if the label is longer than the axis."""
+    if ax.yaxis.label.get_window_extent().height > ax.bbox.height:
+        ax.set_ylabel(ax.get_ylabel().replace(" (", "\n("))
 
 
 def _limits(values: np.ndarray, share: float, least: float) -> tuple[float, float]:
