@@ -300,6 +300,55 @@ def test_pictures_are_as_fine_as_the_screen_and_fit_a_narrow_window(scheme, show
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+def check_first_screen(driver):
+    """All sliders and both pictures are visible without scrolling, one below the other."""
+    driver.set_window_size(1300, 800)
+    settle(driver)
+    time.sleep(0.2)  # a frame, in which the canvases are drawn in their new size
+    settle(driver)
+    box = (
+        "const r = element.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom, innerWidth, innerHeight];"
+    )
+    script = f"return [...document.querySelectorAll(arguments[0])].map((element) => {{ {box} }})"
+    sliders, canvases = (np.array(driver.execute_script(script, name)) for name in (".slider", "canvas"))
+    for found in (sliders, canvases):
+        assert (found[:, :2] >= 0).all() and (found[:, 2:4] <= found[:, 4:]).all()
+    assert canvases[:, 3].max() <= sliders[:, 1].min()
+    assert (canvases[:, 3] - canvases[:, 1]).min() > 240
+    assert driver.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+    (numbers,) = driver.execute_script(script, ".numbers")
+    assert numbers[1] >= sliders[:, 3].max()  # nothing is covered
+
+
+def test_sliders_are_on_the_first_screen(shown, tmp_path):
+    check_first_screen(shown)
+    assert shown.save_screenshot(str(tmp_path / "first_screen.png"))
+
+
+def test_sliders_of_a_motion_are_on_the_first_screen(moving, tmp_path):
+    check_first_screen(moving)
+    assert moving.save_screenshot(str(tmp_path / "first_screen.png"))
+
+
+def test_sliders_in_space_are_on_the_first_screen(solid, tmp_path):
+    check_first_screen(solid)
+    assert solid.save_screenshot(str(tmp_path / "first_screen.png"))
+
+
+def test_labels_of_low_axes_have_two_lines(shown):
+    script = (
+        f"{_asset('draw.js')}; const context = document.createElement('canvas').getContext('2d'), found = [];"
+        "context.font = '12px sans-serif'; context.fillText = (text) => found.push(text);"
+        "for (const bottom of arguments[0]) axes({ context, width: 400, ink: 'black' },"
+        "{ left: 76, right: 380, top: 0, bottom }, [0, 1], [0, 1], { y: 'mx (mN mm)' }); return found;"
+    )
+    assert [text for text in shown.execute_script(script, [200, 50]) if text[0] in "m("] == [
+        "mx (mN mm)",
+        "mx",
+        "(mN mm)",
+    ]
+
+
 def test_a_page_whose_command_has_ended_says_so(driver, sliders):
     with served(sliders) as url:
         driver.get(url)
@@ -357,7 +406,7 @@ def test_a_motion_is_played_to_its_end_or_until_it_is_paused(moving):
 
 
 def test_a_scan_is_not_played(shown):
-    assert not find(shown, ".jaxwhisker > button").is_displayed()
+    assert not find(shown, ".jaxwhisker .top > button").is_displayed()
 
 
 def past_ball(radius, offset):

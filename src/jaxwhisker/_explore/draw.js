@@ -1,7 +1,8 @@
 // Drawing on canvases: the scene in the plane at one step of a picture, and the signals over the control or the time.
 
 const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"]; // Okabe and Ito; then text colour
-const MARGINS = { left: 68, right: 14 }; // of the axes in a canvas
+const MARGINS = { left: 76, right: 14 }; // of the axes in a canvas
+const LINE = 13; // pixels between two lines of text
 
 function extremes(values, low = Infinity, high = -Infinity) {
   for (const value of values) {
@@ -106,10 +107,10 @@ function ticks([low, high], count) {
 function axes({ context, width, ink }, { left, right, top, bottom }, x, y, labels) {
   const X = (value) => left + ((value - x[0]) / (x[1] - x[0])) * (right - left);
   const Y = (value) => bottom - ((value - y[0]) / (y[1] - y[0])) * (bottom - top);
-  const write = (text, x, y, align, baseline) => {
+  const write = (text, x, y, align, baseline, room = undefined) => {
     [context.fillStyle, context.textAlign, context.textBaseline] = [ink, align, baseline];
     const half = align === "center" ? context.measureText(text).width / 2 : 0;
-    context.fillText(text, Math.min(x, width - half), y);
+    context.fillText(text, Math.min(x, width - half), y, room);
   };
   for (const [value, text] of ticks(y, Math.max((bottom - top) / 40, 2.5))) {
     segment(context, [left, Y(value), right, Y(value)], ink, { alpha: 0.12 });
@@ -123,7 +124,10 @@ function axes({ context, width, ink }, { left, right, top, bottom }, x, y, label
   context.save();
   context.translate(left - 54, (top + bottom) / 2);
   context.rotate(-Math.PI / 2);
-  write(labels.y, 0, 0, "center", "middle");
+  // A label that is longer than its axis has its unit on a second line, condensed if necessary.
+  const room = bottom - top;
+  const lines = context.measureText(labels.y).width > room ? labels.y.split(/ (?=\()/) : [labels.y];
+  lines.forEach((text, k) => write(text, 0, (k + 1 - lines.length) * LINE, "center", "middle", room));
   context.restore();
   context.globalAlpha = 0.4;
   [context.strokeStyle, context.lineWidth] = [ink, 1];

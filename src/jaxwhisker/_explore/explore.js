@@ -109,7 +109,8 @@ export function explore(el, { sliders, position, views, phases, statuses }, ask)
     return button;
   });
   const camera = make("div", { role: "group", ariaLabel: "view", hidden: !looks.length }, ...looks);
-  const parts = [title, summary, message, canvases, camera, play, controls, numbers, show, copy, code];
+  const top = make("div", { className: "top" }, title, summary, message, canvases, camera, play, controls);
+  const parts = [top, numbers, show, copy, code];
   const className = looks.length ? "jaxwhisker space" : "jaxwhisker";
   const root = make("div", { className, ariaBusy: "true" }, ...parts);
   el.replaceChildren(root);
