@@ -101,7 +101,7 @@ def test_only_results_of_one_scan_are_drawn(name, wrong, result):
 
 
 OTHERS = {
-    "scene": (plot.scene, "`setup` must be a Scene, got"),
+    "scene": (plot.scene, "`setup` must be a Scene or an Array, got"),
     "profile": (plot.profile, "`shape` must be a profile such as .*, got"),
     "same_window": (plot.same_window, "`axs` must be Axes, got"),
     "save": (lambda value: plot.save(value, "nowhere.png"), "`drawn` must be a matplotlib Figure or Axes, got"),

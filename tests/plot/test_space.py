@@ -179,3 +179,52 @@ def test_phases_and_words_describe_scans_in_space(in_space):
     assert [label.get_text() for label in plot.phases(in_space).get_yticklabels()] == ["whisker 1"]
     entries = plot.spring_lengths(in_space).get_legend().get_texts()
     assert {"spring 1", "spring 2, $z$"} <= {entry.get_text() for entry in entries}
+
+
+BALL = jw.Sphere(0.3, (-0.5, 0.8, 0.05))
+ARRAY = jw.Array({
+    "name": ["front", "back"],
+    "x": [0.0, 0.3],
+    "z": [0.1, 0.0],
+    "length": [2.0, 1.0],
+    "protraction": [0.0, -0.1],
+    "elevation": [0.2, 0.0],
+})  # fmt: skip
+
+
+@pytest.mark.parametrize("view", [None, "xy", "xz"], ids=str)
+def test_an_array_is_drawn_before_its_scan(view):
+    ax = plot.scene(ARRAY, view=view, units="dimensionless")
+    lines = {line.get_label(): line for line in ax.get_lines()}
+    for name, length in (("front", 2.0), ("back", 1.0)):
+        placed = (scene := ARRAY.scene(name, BALL)).motion.placement(0.0)
+        base = placed.position + placed.rotation @ np.asarray(
+            [scene.support.mounts[0].x, 0.0, scene.support.mounts[0].z]
+        )
+        tip = base + length * np.asarray(placed.rotation)[:, 1]
+        shown = {None: [0, 1, 2], "xy": [0, 1], "xz": [0, 2]}[view]
+        points = np.stack(lines[name].get_data_3d() if view is None else lines[name].get_data(), axis=1)
+        np.testing.assert_allclose(
+            points[[0, -1]], np.stack([base, tip])[:, shown] / 2.0, atol=1e-6
+        )  # in L of the first
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["front", "back"]
+    assert ax.get_xlabel() == "$x/L$"
+
+
+def test_an_array_is_drawn_with_an_object():
+    alone, both = (plot.scene(ARRAY, surface=surface, view="xy") for surface in (None, BALL))
+    assert len(both.patches) == len(alone.patches) + 1
+    outline = both.patches[0].get_xy()
+    assert np.ptp(outline[:, 0]) == pytest.approx(2 * BALL.radius, rel=1e-2)  # m
+    assert both.get_xlim()[0] < outline[:, 0].min()
+
+
+def test_large_arrays_have_no_legend():
+    assert plot.scene(jw.Array({"length": [1.0] * 12})).get_legend() is None
+
+
+def test_objects_belong_to_arrays():
+    with pytest.raises(ValueError, match="`surface` must be None for a Scene"):
+        plot.scene(ARRAY.scene("front", BALL), surface=BALL)
+    with pytest.raises(ValueError, match="`surface` must be a surface, such as a Sphere, got"):
+        plot.scene(ARRAY, surface=jw.Parabola(0.2))

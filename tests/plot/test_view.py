@@ -136,3 +136,16 @@ def test_grid_lines_end_at_the_edges_of_their_panes():
         assert axis.pane.get_closed() and axis.pane.get_alpha() is None
         edge, grid = (to_hex(colour) for colour in (axis.pane.get_edgecolor(), axis.gridlines.get_edgecolor()[0]))
         assert edge == grid
+
+
+@pytest.mark.parametrize("high", [(0.4, 2.0, 0.6), (2.0, 2.0, 2.0), (3.0, 0.5, 0.5)], ids=str)
+@pytest.mark.parametrize("angles", [(15.0, 35.0), (40.0, -30.0)], ids=str)
+def test_labels_of_a_camera_are_inside_the_figure(high, angles):
+    canvas = picture(angles)
+    canvas.window(np.zeros(3), np.array(high), ["$x$ (mm)", "$y$ (mm)", "$z$ (mm)"])
+    figure = canvas.ax.figure
+    figure.canvas.draw()
+    for axis in (canvas.ax.xaxis, canvas.ax.yaxis, canvas.ax.zaxis):
+        label = axis.label.get_window_extent()
+        assert figure.bbox.x0 <= label.x0 and label.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= label.y0 and label.y1 <= figure.bbox.y1

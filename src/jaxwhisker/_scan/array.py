@@ -27,12 +27,12 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, Shooting
-from jaxwhisker._scan.dataset import first_failure, points_in_words, scan_dataset
-from jaxwhisker._scan.result import arrays_of
+from jaxwhisker._scan.array_results import array_dataset, touch_table
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.space_result import SpaceResult
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 MM, DEGREE = 1e-3, np.pi / 180
@@ -265,21 +265,24 @@ class Array(eqx.Module, metaclass=Suggesting):
         Raises:
             ImportError: if xarray is missing: `pip install jaxwhisker[study]`.
         """
-        arrays = {name: np.asarray(array) for name, array in jax.vmap(arrays_of)(results).items()}
-        first = jax.tree.map(lambda leaf: np.asarray(leaf)[0], results.scene)
-        each = []
-        for k, name in enumerate(self.names):
-            data = scan_dataset(first, {key: array[k] for key, array in arrays.items()}).drop_vars(
-                "spring", errors="ignore"
-            )
-            each.append(data.assign_coords(whisker=[name]))
-        import xarray as xr
+        return array_dataset(self.names, results)
 
-        alone = [name for name, variable in each[0].items() if "whisker" not in variable.dims]
-        each = [data.assign({name: data[name].expand_dims("whisker") for name in alone}) for data in each]
-        both: Any = xr.concat(each, "whisker", combine_attrs="override")
-        both.attrs["points"] = points_in_words(first_failure(arrays["status"]))
-        return both
+    def touches(self, data: "xr.Dataset") -> "pd.DataFrame":
+        """The table of touches: one row for each whisker, by its name.
+
+        Columns: `first_touch` and `release`, the drive positions where the whisker first touches the object and where
+        it last comes free; `peak_force`, the largest contact force of all steps and just before events, and
+        `peak_control`, where it occurs; `status`, ok or the first failure. Positions are NaN for whiskers that touch
+        nothing, and `release` for those that still touch the object at their last step. `attrs["units"]` has the units.
+
+        Args:
+            data: the Dataset of `scan` or `dataset`.
+
+        Raises:
+            ValueError: if `data` is not such a Dataset.
+            ImportError: if pandas is missing.
+        """
+        return touch_table(self.names, data)
 
     def _one(
         self, k: int, surface: AbstractSurface, *, motion=None, friction=None, rod: AbstractRod = SHOOTING

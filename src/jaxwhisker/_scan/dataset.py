@@ -16,8 +16,8 @@ from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
-    ASSUMED,
     ABSENT_IN_SPACE,
+    ASSUMED,
     CONTROL,
     DIRECTORS,
     QUANTITIES,

@@ -18,8 +18,11 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
 from jaxwhisker._model.motion import AbstractMotion
+from jaxwhisker._model.quadrics import Sphere
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import AXES_IN_SPACE
+from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
 from jaxwhisker._scan.space_scan import problem_now
@@ -49,6 +52,9 @@ DIRECTOR_ROOM = 1.5  # of a director and its name
 MARGIN = 0.1  # of the window, around what is drawn
 PALEST = 0.25  # opacity of the earliest of several states
 COIL_TURNS = 2.25
+ANYWHERE = Sphere(1.0, (0.0, 0.0, 0.0))  # the object of scenes that are drawn without one
+LEAST_DEPTH = 0.35  # of the window around an array, as a share of its longest side
+MOST_NAMES = 9  # whiskers of an array that a legend names
 
 
 class SpaceDrawing(NamedTuple):
@@ -84,6 +90,32 @@ def draw_scene(setup: SpaceScene, system: UnitSystem, view: Any, ax: Axes | None
     state = rest_state(setup, control)
     drawn = jax.tree.map(lambda part: part[None], drawing(setup, np.asarray(control), state))
     return _draw(drawn, system, picture(view, ax), None)
+
+
+def draw_array(array: WhiskerArray, surface: AbstractSurface | None, units: str, view: Any, ax: Axes | None) -> Axes:
+    """Draw the unloaded whiskers of an array at the control 0, and an object; see `states.scene`."""
+    view = check_view(view, ax)
+    scenes = [array.scene(k, ANYWHERE if surface is None else surface) for k in range(len(array))]
+    system = UnitSystem(scenes[0], units)
+    sizes = [float(one.whiskers[0].length / scenes[0].whiskers[0].length) for one in scenes]
+    states = [
+        drawing(one, np.zeros(()), rest_state(one, 0.0)).scaled(size) for one, size in zip(scenes, sizes, strict=True)
+    ]
+    lines, scale = [one.whiskers[0] for one in states], system.scale("length")
+    points = np.concatenate(lines)
+    body, low, high = window_around(None if surface is None else scenes[0], points)
+    thin = np.maximum(LEAST_DEPTH * np.max(high - low) - (high - low), 0.0) / 2
+    low, high = low - thin, high + thin
+    body, seen = None if body is None else body.scaled(scale), picture(view, ax)
+    if body is not None:
+        seen.body(body)
+    for k, (name, line) in enumerate(zip(array.names, lines, strict=True)):
+        seen.line(scale * line, body, color=colour(k), linewidth=2, zorder=3, label=name)
+        seen.line(scale * line[:1], color=colour(k), linestyle="none", marker="o", markersize=4, zorder=4)
+    seen.window(scale * low, scale * high, [system.label_of(name, "length") for name in "xyz"])
+    if len(array) <= MOST_NAMES:
+        legend_above(seen.ax, [line for line in seen.ax.get_lines() if line.get_label() in array.names])
+    return seen.ax
 
 
 def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, view: Any, ax: Axes | None) -> Axes:
@@ -323,8 +355,14 @@ def _across(along: np.ndarray, towards: np.ndarray) -> float:
 
 def surroundings(scene: SpaceScene, drawn: SpaceDrawing) -> tuple[Body | None, np.ndarray, np.ndarray]:
     """The object near some states, and the least and largest coordinates of a window that holds all of it."""
-    points = drawn.extent()
+    return window_around(scene, drawn.extent())
+
+
+def window_around(scene: SpaceScene | None, points: Points) -> tuple[Body | None, np.ndarray, np.ndarray]:
+    """The object of a scene near some points, and the least and largest coordinates of a window that holds all."""
     low, high = points.min(axis=0), points.max(axis=0)
+    if scene is None:
+        return None, low - MARGIN, high + MARGIN
     body = body_of(scene.surface.in_unit(jnp.asarray(scene.whiskers[0].length, dtype=float)), low, high)
     low, high = low - MARGIN, high + MARGIN
     if body is not None:

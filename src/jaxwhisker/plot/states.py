@@ -13,6 +13,8 @@ from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
 from jaxwhisker._model.silhouette import silhouette_of
+from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
 from jaxwhisker._scan.space_result import SpaceResult
@@ -43,7 +45,14 @@ WINDOW_MARGIN = 0.1  # around what is drawn
 BESIDE = 0.5  # distance from the vertex of an object to both sides up to which it is shown
 
 
-def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Axes | None = None) -> Axes:
+def scene(
+    setup: AbstractScene | WhiskerArray,
+    *,
+    surface: AbstractSurface | None = None,
+    view: Any = None,
+    units: str = "auto",
+    ax: Axes | None = None,
+) -> Axes:
     """Draw a scene before its scan: object, drive, springs and unloaded whiskers.
 
     The drive stands where the first whisker is about to touch, or at the start of a motion that has ends. Nothing is
@@ -52,8 +61,11 @@ def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Ax
     In space, the picture also shows the directors d1, d2 and d3 at the bases. What the object hides is paler. An object
     that goes on far beyond the whiskers is cut off.
 
+    An Array is drawn at the control 0, every whisker with its shape, base point and direction.
+
     Args:
-        setup: a Scene.
+        setup: a Scene or an Array.
+        surface: the object beside an Array. Default: none.
         view: of a scene in space: a camera at (elevation, azimuth) in degrees, or the projection "xy", "xz" or "yz". At
             (0, 0) the camera looks along -z, with x to the right; the elevation raises it, and the azimuth moves it
             towards +x. "xy" looks along -z, "xz" from below, where the whiskers are, and "yz" along x, with z to the
@@ -66,9 +78,18 @@ def scene(setup: AbstractScene, *, view: Any = None, units: str = "auto", ax: Ax
         The Axes.
 
     Raises:
-        ValueError: if `setup` is not a Scene or `view` or `units` is invalid, or `ax` does not suit `view`.
+        ValueError: if `setup` is neither a Scene nor an Array, `surface` is not the object of an Array, `view` or
+            `units` is invalid, or `ax` does not suit `view`.
     """
-    checks.instance("setup", setup, AbstractScene, "a Scene")
+    if isinstance(setup, WhiskerArray):
+        from jaxwhisker.plot.space import draw_array
+
+        if surface is not None:
+            checks.instance("surface", surface, AbstractSurface, "a surface, such as a Sphere")
+        return draw_array(setup, surface, units, view, ax)
+    checks.instance("setup", setup, AbstractScene, "a Scene or an Array")
+    if surface is not None:
+        checks.fail("surface", "None for a Scene, which has an object", repr(surface))
     system = UnitSystem(setup, units)
     if not isinstance(setup, Scene):
         from jaxwhisker.plot.space import draw_scene
