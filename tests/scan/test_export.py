@@ -123,6 +123,23 @@ HEADERS = {
 }
 
 
+UNITS = {
+    "scan": {"control": "L", "fx_2": "EI/L^2", "base_angle_1": "rad", "spring_3": "L", "status": None, "phase_1": None},
+    "scan in SI": {"control": "rad", "mz_1": "N m", "contact_force_1": "N", "spring_1": "m", "spring_2": "rad"},
+    "motion of unit mass": {"time": "T", "gap_1": "L"},
+    "deflection in SI": {"x": "m", "curvature": "1/m", "angle": "rad"},
+    "summary": {"stiffness": "EI/L^3", "max_mz_1": "EI/L", "snaps": None},
+}
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_a_data_frame_has_the_units_of_its_columns(kind, result):
+    table = jw.to_dataframe(HEADERS[kind][0](result))
+    units = table.attrs["units"]
+    assert {name: units.get(name) for name in UNITS[kind]} == UNITS[kind]
+    assert set(units) <= set(table) and "1" not in units.values()
+
+
 @pytest.mark.parametrize("kind", HEADERS)
 def test_the_header_names_the_units_of_the_columns(kind, result, tmp_path):
     make, words = HEADERS[kind]

@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -90,23 +91,38 @@ def _columns_of_dataset(data: Any) -> dict[str, np.ndarray]:
 def header(result: Any) -> str:
     """What a table contains, with the unit of every signal that has one."""
     if hasattr(result, "data_vars"):
-        named = {name: result[name].attrs.get("units", "1") for name in (*result.coords, *result.data_vars)}
         text, codes = result.attrs.get("scene", "study"), f"; {CODES}"
     elif isinstance(result, Deflection):
         sensor, codes = Sensor(result.whisker, result.support), ""
-        named = {name: _unit(kind, sensor) for name, kind in POINTS.items()}
         reaction = ", ".join(f"{name} = {float(getattr(result, name))!r}" for name in ("fx", "fy", "mz"))
         text = f"{sensor}, deflected; reaction {reaction} in {_unit('force', sensor)} and {_unit('moment', sensor)}"
     else:
-        scene, codes = result.scene, f"; {CODES}"
-        named = {name: _unit(kind_of(name, scene), scene) for name in ("control", *_signals(result))}
-        named |= {f"spring_{k + 1}": _unit_of_spring(s, scene) for k, s in enumerate(scene.support.springs)}
-        if _is_motion(result):
-            named = {"time": _unit("time", scene)} | named
-        text = str(scene)
-    units = ", ".join(f"{name} ({unit})" for name, unit in named.items() if unit != "1")
+        text, codes = str(result.scene), f"; {CODES}"
+    units = ", ".join(f"{name} ({unit})" for name, unit in _units(result).items() if unit != "1")
     assumed = f"; {ASSUMED}" * bool(re.search(r"[( /](N|m|s)\b", units))
     return f"{text}; units: {units}{assumed}{codes}"
+
+
+def _units(result: Any) -> dict[str, str]:
+    """The unit of every signal, without the numbers of whiskers."""
+    if hasattr(result, "data_vars"):
+        return {name: result[name].attrs.get("units", "1") for name in (*result.coords, *result.data_vars)}
+    if isinstance(result, Deflection):
+        return {name: _unit(kind, Sensor(result.whisker, result.support)) for name, kind in POINTS.items()}
+    scene = result.scene
+    found = {name: _unit(kind_of(name, scene), scene) for name in ("control", *_signals(result))}
+    found |= {f"spring_{k + 1}": _unit_of_spring(s, scene) for k, s in enumerate(scene.support.springs)}
+    return ({"time": _unit("time", scene)} if _is_motion(result) else {}) | found
+
+
+def _units_of_columns(result: Any, names: Iterable[str]) -> dict[str, str]:
+    """The unit of every column that has one: that of the signal with the longest name at its beginning."""
+    units = {"spring" if name == "spring_length" else name: unit for name, unit in _units(result).items()}
+    found = {}
+    for name in names:
+        signals = [one for one in units if name == one or name.startswith(f"{one}_")]
+        found[name] = units[max(signals, key=len)] if signals else "1"
+    return {name: unit for name, unit in found.items() if unit != "1"}
 
 
 def _unit(kind: str, scene: AbstractScene | Sensor) -> str:
@@ -138,6 +154,8 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     variables with the number of the whisker, such as max_mz_1. Variables of events are left out; `summary` has the
     positions of the main ones. A deflection has one row for each point: s, x, y, angle and curvature.
 
+    `attrs["units"]` has the units of the columns by name, without those that are numbers.
+
     Args:
         result: the Result or SpaceResult of a scan, a Simulation, a Deflection, or the Dataset of `study`, `summary`
             or `Result.to_xarray`.
@@ -150,7 +168,9 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
         import pandas as pd
     except ImportError as error:
         raise ImportError("`to_dataframe` needs pandas: pip install pandas") from error
-    return pd.DataFrame(columns(result))
+    frame = pd.DataFrame(table := columns(result))
+    frame.attrs["units"] = _units_of_columns(result, table)
+    return frame
 
 
 def to_csv(result: Any, path: str | Path) -> None:
