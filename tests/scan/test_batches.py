@@ -113,12 +113,17 @@ def test_vmap_accepts_the_default_control_and_a_traced_one():
     np.testing.assert_allclose(traced.fx[1], jw.scan(build(70.0, 0.3), there_and_back).fx, atol=LOOP * 100)
 
 
-def test_a_traced_control_with_too_many_turns_is_too_long():
-    zigzag = jnp.asarray(np.tile([0.5, 0.4], 20))
-    result = jax.vmap(lambda control: jw.scan(build(70.0, 0.2), control))(zigzag[None])
-    assert np.all(np.asarray(result.status) == jw.Status.too_long)
+def test_a_traced_control_with_many_turns_is_followed_and_one_with_too_many_is_too_long():
+    zigzag = np.tile([0.5, 0.4], 60)
+    scans = jax.jit(jax.vmap(lambda control: jw.scan(build(70.0, 0.2), control)))
+    result = scans(jnp.asarray([zigzag, np.linspace(0.5, 0.4, 120)]))
+    assert np.all(np.asarray(result.status) == jw.Status.ok)
     eager = jw.scan(build(70.0, 0.2), zigzag)
     assert np.all(np.asarray(eager.status) == jw.Status.ok)
+    np.testing.assert_allclose(result.fx[0], eager.fx, atol=LOOP * 100)
+    longer = scans(jnp.asarray([np.tile(zigzag, 2), np.linspace(0.5, 0.4, 240)]))
+    assert np.all(np.asarray(longer.status[0]) == jw.Status.too_long)
+    assert np.all(np.asarray(longer.status[1]) == jw.Status.ok)
 
 
 def test_iterating_over_the_events_of_a_batch_is_rejected(batch):

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.route import STOPS, across, route_of, straight, traced_route
+from jaxwhisker._scan.route import STOPS, TRACED_STOPS, across, route_of, straight, traced_route
 
 SIZE = 12  # of random controls: one compilation serves them all
 ROUNDING = 1e-14  # of sums in another order
@@ -84,13 +84,13 @@ def test_positions_that_are_not_finite_are_invalid(bad, index):
 
 
 def test_more_turns_than_there_is_room_for_are_too_long():
-    many = jnp.arange(2 * STOPS + 5) % 2 * 1.0
+    many = jnp.arange(TRACED_STOPS + 5) % 2 * 1.0
     _, status = traced(many)
     assert status == Status.too_long
     # The first, the last, and 2 STOPS - 2 turns between them are just not too many.
-    plateau = jnp.where(jnp.arange(many.size) < 2 * STOPS, many, many[2 * STOPS - 1])
+    plateau = jnp.where(jnp.arange(many.size) < TRACED_STOPS, many, many[TRACED_STOPS - 1])
     route, status = traced(plateau)
-    assert status == Status.ok and int(route.last) == 2 * STOPS - 1
+    assert status == Status.ok and int(route.last) == TRACED_STOPS - 1
     assert route.stops.tolist() == turning_points(np.asarray(plateau))
 
 

@@ -2,17 +2,21 @@
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float, Int, Num
+from typing_extensions import TypeAliasType
 
-Scalar: TypeAlias = Float[Array, ""] | Int[Array, ""] | float | int | np.number  # one real number, possibly traced
-Triple: TypeAlias = tuple[Scalar, Scalar, Scalar]  # x, y and z of a point or vector in space
-Vector: TypeAlias = Triple | list[Any] | Float[Array, "3"] | Float[np.ndarray, "3"]  # what becomes a Triple
-# One value for all springs, or one value per spring.
-PerSpring: TypeAlias = Scalar | Sequence[Scalar] | Num[Array, " springs"] | Num[np.ndarray, " springs"]
-Control: TypeAlias = Num[Array, " steps"] | Num[np.ndarray, " steps"] | Sequence[Scalar]  # drive positions
+# Types with a name: `help` shows the name instead of the whole union.
+# One real number, possibly traced:
+Scalar = TypeAliasType("Scalar", Float[Array, ""] | Int[Array, ""] | float | int | np.number)
+Triple = TypeAliasType("Triple", tuple[Scalar, Scalar, Scalar])  # x, y and z of a point or vector in space
+# What becomes a Triple:
+Vector = TypeAliasType("Vector", Triple | list[Any] | Float[Array, "3"] | Float[np.ndarray, "3"])
+# One value for all springs, or one value per spring:
+PerSpring = TypeAliasType("PerSpring", Scalar | Sequence[Scalar] | Num[Array, " springs"] | Num[np.ndarray, " springs"])
+Control = TypeAliasType("Control", Num[Array, " steps"] | Num[np.ndarray, " steps"] | Sequence[Scalar])  # positions
 
 
 class NamedInt(IntEnum):

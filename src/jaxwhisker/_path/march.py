@@ -15,11 +15,14 @@ is unstable, stability was lost within the step, and steps are shortened until t
 back in u (a fold) or, at a corner, leaves in the wrong direction.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base import checks
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.newton import Apart
@@ -37,6 +40,8 @@ from jaxwhisker._path.transitions import after_advance, after_arrive, after_even
 from jaxwhisker._path.trial import evaluate_trial
 
 STOPS = 8  # stops of a route with turns: so many, or twice as many, or four times ... after padding
+TRACED_STOPS = 16 * STOPS  # of a traced control: turns are cheap, nodes are not
+TRACED_SWEEPS = 2 * STOPS  # so many stops of a traced control have room for the nodes of a sweep past the object
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
 
@@ -139,6 +144,11 @@ def _start(problem: Problem, stops: Float[Array, " stops"]) -> MarchState:
 
 def _blank(shapes: Stance) -> Stance:
     return jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+
+
+def sweeps_of(last: Any) -> tuple[int, ...]:
+    """The number of stops that a path has room for if the drive passes the object before each, if it is not all."""
+    return (TRACED_SWEEPS,) if checks.is_traced(last) else ()
 
 
 def capacity_of(problem: Problem, stops: int) -> int:

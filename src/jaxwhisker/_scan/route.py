@@ -13,7 +13,7 @@ from jaxwhisker._base.announce import warn
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import Units
-from jaxwhisker._path.march import STOPS
+from jaxwhisker._path.march import STOPS, TRACED_STOPS
 from jaxwhisker._path.path import Status
 
 STEP = 0.001  # of the default control, dimensionless: in lengths of the first whisker if the drive moves along x
@@ -67,7 +67,7 @@ def traced_route(control: Float[Array, " steps"]) -> tuple[Route, Int[Array, ""]
     carried = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
     turns = jnp.concatenate([jnp.ones(1, bool), carried[1:] * carried[:-1] < 0, jnp.ones(1, bool)])
     turns = turns[-control.size :].at[0].set(True)
-    index = jnp.nonzero(turns, size=min(2 * STOPS, control.size), fill_value=control.size - 1)[0]
+    index = jnp.nonzero(turns, size=min(TRACED_STOPS, control.size), fill_value=control.size - 1)[0]
     route = Route(control, _travel(control), control[index], jnp.minimum(jnp.sum(turns), index.size) - 1)
     status = jnp.where(jnp.sum(turns) <= index.size, Status.ok, Status.too_long)
     return route, jnp.where(jnp.all(jnp.isfinite(control)), status, Status.invalid)

@@ -29,7 +29,7 @@ from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import AbstractScene, Scene, moves_along_x
 from jaxwhisker._path.approach import approach_of
 from jaxwhisker._path.gains import without_gains
-from jaxwhisker._path.march import capacity_of, march
+from jaxwhisker._path.march import capacity_of, march, sweeps_of
 from jaxwhisker._path.path import Path, Status, event_room, room_for
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
@@ -246,8 +246,12 @@ class ScanPath(NamedTuple):
     stop: Float[Array, ""]
 
 
-def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> ScanPath:
+def follow_path(
+    problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
+) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
+
+    There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop.
 
     A path has no derivatives: they are attached to what is computed from it.
     """
@@ -255,7 +259,8 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
     unit, approach = problem.unit, approach_of(problem)
     limits, whole = approach.limits(), jnp.isnan(stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
-    path = march(problem, stops, jnp.asarray(last), capacity=capacity_of(problem, stops.shape[0]))
+    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
+    path = march(problem, stops, jnp.asarray(last), capacity=capacity)
     path, start, stop = approach.crop(path, whole, limits)
     path = without_gains(problem, path)
     return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
@@ -263,7 +268,7 @@ def follow_path(problem: Problem, stops: Float[Array, " stops"], last: Int[Array
 
 def path_through(problem: Problem, kinds: Kinds, stops: Any, last: Any) -> ScanPath:
     """The path to all stops, which ends where a contact of these kinds begins."""
-    found = follow_path_now(problem, stops, last)
+    found = follow_path_now(problem, stops, last, *sweeps_of(last))
     return found._replace(path=detect_now(problem, found.path, kinds)) if kinds else found
 
 

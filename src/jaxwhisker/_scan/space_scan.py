@@ -15,6 +15,7 @@ from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
+from jaxwhisker._path.march import sweeps_of
 from jaxwhisker._path.path import Status, room_for
 from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.route import (
@@ -34,7 +35,7 @@ from jaxwhisker._scan.space_slopes import event_tangents, linked_tangents, state
 from jaxwhisker._scan.space_steps import solved_states
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.history import linked
-from jaxwhisker._space.march import march
+from jaxwhisker._space.march import capacity_of, march
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.problem import THINNEST, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import until_second_contact
@@ -67,7 +68,9 @@ def scan_in_space(scene: SpaceScene, control: Control | None = None, steps: int 
     stops, last = across() if route is None else (route.stops, route.last)
     if not checks.is_traced((problem, stops)):
         prepare(problem, stops.shape[0])
-    path, start, stop = follow_path_now(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+    path, start, stop = follow_path_now(
+        problem, stops, last if checks.is_traced(last) else np.asarray(last), *sweeps_of(last)
+    )
     path = _if_ok(path, status)
     if route is None:
         warn_of_no_touch(path.nodes.phase, path.status, scene.surface)
@@ -106,7 +109,7 @@ def _staged(scene: SpaceScene, control: Control | None) -> SpaceResult:
     else:
         route, status = traced_route(jnp.asarray(control, dtype=float))
         stops, last = route.stops, route.last
-    path, start, stop = follow_path(problem, jnp.asarray(stops), jnp.asarray(last))
+    path, start, stop = follow_path(problem, jnp.asarray(stops), jnp.asarray(last), *sweeps_of(last))
     route = evenly(start, stop, TRACED_STEPS) if control is None else route
     path, positions = _if_ok(path, status), jnp.asarray(route.control)
     links = None if problem.friction is None else linked(problem, path, jnp.asarray(stops))
@@ -136,8 +139,12 @@ def _result(scene, problem, path, links, control, state, status, lengths) -> Spa
     )
 
 
-def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpaceScanPath:
+def follow_path(
+    problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
+) -> SpaceScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
+
+    There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop.
 
     A path has no derivatives: they are attached to what is computed from it.
     """
@@ -145,7 +152,8 @@ def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[
     stops, whole = stops / problem.unit.control, jnp.isnan(stops[0])
     limits = limits_of(problem, stops[0])
     stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
-    path = march(problem, limits.start, stops, jnp.asarray(last))
+    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
+    path = march(problem, limits.start, stops, jnp.asarray(last), capacity=capacity)
     path, start, stop = crop(problem, path, limits, whole)
     path = until_second_contact(problem, path)
     return SpaceScanPath(path, start * problem.unit.control, stop * problem.unit.control)

@@ -44,8 +44,9 @@ from jaxwhisker._space.newton import Equations, solve_points
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.slip import Mode, Motion, Slip, ends_of_step, grip_of, radau, stages_of, without_traction
 from jaxwhisker._space.stance import Stance, stance_of
-from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event, capacity_of
+from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event
 
+NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
 CHUNK = 16  # iterations between two checks of whether the whole batch is done
 
@@ -208,10 +209,16 @@ def _(size, batched, goes_on):
     return _any_lane(jnp.any(goes_on)), False
 
 
-def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], last: Int[Array, ""]) -> SpacePath:
+def capacity_of(problem: SpaceProblem, stops: int) -> int:
+    """Number of nodes that a path has room for; with friction, contacts may stick and slip two hundred times."""
+    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 24)
+
+
+def march(
+    problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], last: Int[Array, ""], *, capacity: int
+) -> SpacePath:
     """March from a control at which all whiskers are free to all stops in turn."""
     first = _start(problem, start, stops)
-    capacity = capacity_of(problem, stops.size)
     nodes = jax.tree.map(lambda leaf: jnp.zeros((capacity, *jnp.shape(leaf)), jnp.asarray(leaf).dtype), first.pending)
 
     def chunk(carry):
@@ -224,11 +231,12 @@ def march(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"], l
         now, (index, written) = jax.lax.scan(body, now, None, length=CHUNK)
         index = jnp.where(index < 0, capacity, index)
         nodes = jax.tree.map(lambda all_, new: all_.at[index].set(new, mode="drop"), nodes, written)
-        return now, nodes, count + CHUNK
+        full = now.count > capacity  # nodes are lost
+        return select(full, now.stopped(Status.too_long), now), nodes, count + CHUNK
 
     def goes_on(carry):
         return _any_lane(carry[0].task != Task.done) & (carry[2] < ITERATIONS)
 
     now, nodes, _ = jax.lax.while_loop(goes_on, chunk, (first, nodes, jnp.asarray(0)))
     status = jnp.where(now.task == Task.done, now.status, int(Status.too_long))
-    return SpacePath(nodes, now.count, status)
+    return SpacePath(nodes, jnp.minimum(now.count, capacity), status)

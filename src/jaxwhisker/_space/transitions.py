@@ -42,7 +42,6 @@ from jaxwhisker._space.slip import (
 )
 from jaxwhisker._space.stance import Stance
 
-NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
 FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
 SHORTEST_STEP = 1e-10
@@ -76,11 +75,6 @@ def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
     """Rates of the margins along the path, those of forces and slacks only."""
     still, slack = jnp.zeros_like(tangent.z[:, SLACK]), tangent.z[:, SLACK]
     return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), *[still] * 3])
-
-
-def capacity_of(problem: SpaceProblem, stops: int) -> int:
-    """Number of nodes that a path has room for; with friction, contacts may stick and slip two hundred times."""
-    return NODES * (1 + problem.length.size) * (stops - 1) * (1 if problem.friction is None else 24)
 
 
 def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
@@ -138,9 +132,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         shorter = select(begins, again, shorter)._replace(step=guessed)
         astray |= ~good & (shorter.step < SHORTEST_STEP) & jnp.any(march.phase != Phase.free)
     at_base = jnp.any((march.phase == Phase.tangential) & (point.z[:, SLACK] > (1 - AT_BASE) * problem.length))
-    full = march.count >= capacity_of(problem, trial.stops.size) - 1
     new = first_case(
-        (full, march.stopped(Status.too_long)),
         (astray, settling(problem, march)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
@@ -154,7 +146,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     )
     # While all whiskers are free, nothing happens between events.
     write = good & ~violated & stable & stance.opens & jnp.any(march.phase != Phase.free)
-    return new, (write | branches) & ~full, select(branches, _bifurcation(march, trial), node)
+    return new, write | branches, select(branches, _bifurcation(march, trial), node)
 
 
 def _first_violated(
