@@ -245,7 +245,7 @@ def test_large_batches_run_in_blocks(count, monkeypatch):
     x, y = np.linspace(0.0, 1.0, count), np.linspace(1.0, 2.0, count)
     together, traces = traced(plain, together=LANES)
     assert_same(jax.vmap(together)(x, y), jax.vmap(plain)(x, y))
-    assert [lanes for _, lanes in together._executables] == [LANES]
+    assert [lanes for _, lanes, _ in together._executables] == [LANES]
     assert_same(jax.vmap(together, (0, None))(x[::-1], y[0]), jax.vmap(plain, (0, None))(x[::-1], y[0]))
     assert len(traces) == 1
 
@@ -255,7 +255,7 @@ def test_other_batches_run_one_by_one(monkeypatch):
     for count, together in ((4, LANES), (5, 0)):
         run = Program(plain, together=together)
         jax.vmap(run, (0, None))(np.linspace(0.0, 1.0, count), Y[0])
-        assert [lanes for _, lanes in run._executables] == [0]
+        assert [lanes for _, lanes, _ in run._executables] == [0]
 
 
 @pytest.mark.parametrize("together", [0, LANES])

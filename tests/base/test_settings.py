@@ -131,7 +131,7 @@ def test_results_can_be_used_after_a_block_with_float64(plain):
 
 def test_programs_run_where_their_arguments_are():
     code = (
-        "import jax, jax.numpy as jnp\n"
+        "import jax, jax.numpy as jnp, numpy as np\n"
         "from jaxwhisker._base.program import Program\n"
         "there, double = jax.devices()[1], Program(lambda x: 2 * x)\n"
         "assert double(jnp.ones(2)).sum() == 4.0\n"
@@ -140,9 +140,31 @@ def test_programs_run_where_their_arguments_are():
         "assert jax.grad(lambda x: (x * double(x)).sum())(x).sum() == 8.0\n"
         "with jax.default_device(there):\n"
         "    assert double(jnp.ones(2)).sum() == 4.0\n"
+        "with jax.default_device(there):\n"
+        "    assert double(np.ones(3)).devices() == {there}\n"
+        "assert double(np.ones(3)).devices() == {jax.devices()[0]}\n"
     )
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAXWHISKER_CACHE": "off"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=120)
+
+
+def test_results_are_on_the_device_of_the_arguments():
+    code = (
+        "import jax, jax.numpy as jnp, numpy as np, jaxwhisker as jw\n"
+        "jax.config.update('jax_enable_x64', True)\n"
+        "there = jax.devices()[1]\n"
+        "stiffness, control = jax.device_put((jnp.asarray(70.0), jnp.linspace(0.8, -1.0, 20)), there)\n"
+        "def scan(c): return jw.scan(jw.Scene(jw.Whisker(), jw.Parabola(0.5), jw.Support.fb(c, 0.2)), control)\n"
+        "def elsewhere(tree): return [leaf for leaf in jax.tree.leaves(tree) if leaf.devices() != {there}]\n"
+        "result = scan(stiffness)\n"
+        "fields = {name: getattr(result, name) for name in ('fx', 'fy', 'mz', 'contact_x', 'phase', 'status')}\n"
+        "assert not elsewhere((fields, result.events, jw.shapes(result, at=control[:2]).x))\n"
+        "assert not elsewhere(jax.jvp(lambda c: scan(c).fx, (stiffness,), (jnp.ones_like(stiffness),)))\n"
+        "assert not elsewhere(jax.vmap(lambda c: scan(c).fx)(jnp.stack([stiffness, stiffness])))\n"
+        "assert not elsewhere(jw.deflect(jw.Whisker(stiffness), jw.PointForce(0.3)).fx)\n"
+    )
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=240)
 
 
 @pytest.mark.parametrize("setting", SETTINGS)

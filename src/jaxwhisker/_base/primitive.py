@@ -16,7 +16,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from jaxwhisker._base.settings import as_here
+from jaxwhisker._base.settings import as_here, with_own_settings
 
 LANES = 64  # of a batch in the plane that run together
 MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
@@ -37,6 +37,7 @@ PRIMITIVE.multiple_results = True
 
 
 @PRIMITIVE.def_impl
+@with_own_settings
 def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]) -> list:
     if not levels:
         return program.run(shape, arrays)

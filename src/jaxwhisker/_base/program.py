@@ -28,7 +28,7 @@ from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
 from jaxwhisker._base.aside import aside, interruptible
 from jaxwhisker._base.primitive import PRIMITIVE, lanes_together
-from jaxwhisker._base.settings import with_own_settings
+from jaxwhisker._base.settings import device, with_own_settings
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
 # time, and its kernels run equally fast.
@@ -93,7 +93,7 @@ class Program:
         self.together = together
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
-        self._executables: dict[tuple[Shape, int], Future] = {}
+        self._executables: dict[tuple[Shape, int, jax.Device], Future] = {}
         _PROGRAMS.append(self)
 
     @with_own_settings
@@ -126,7 +126,7 @@ class Program:
     def is_ready(self, *args) -> bool:
         """Whether the program for arguments of these shapes is compiled, or being compiled."""
         shape, arrays = _split(args)
-        return (shape, self._lanes_of(arrays)) in self._executables
+        return (shape, self._lanes_of(arrays), device()) in self._executables
 
     def _lanes_of(self, arrays: Sequence) -> int:
         """Lanes of the executable that runs arguments below vmap."""
@@ -150,7 +150,7 @@ class Program:
                 return future.result()
         except Exception:  # the next call compiles again
             with self._lock:
-                self._executables.pop((shape, lanes), None)
+                self._executables.pop((shape, lanes, device()), None)
             raise
 
     def results(self, shape: Shape) -> Results:
@@ -210,16 +210,17 @@ class Program:
             self._executables.clear()
 
     def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
+        name = shape, lanes, device()
         with self._lock:
-            known = self._executables.get((shape, lanes))
+            known = self._executables.get(name)
             if known is None or known.cancelled():  # by an interrupt
                 key = self._key(shape, lanes)
                 with announced(kept=_is_kept(key)):
                     future = self._load(shape, lanes, key, pool) or self._compile(shape, lanes, key, pool)
-                self._executables[shape, lanes] = future
+                self._executables[name] = future
                 while len(self._executables) > MOST_KEPT:  # users may pass a new function in every call
                     del self._executables[next(iter(self._executables))]
-            return self._executables[shape, lanes]
+            return self._executables[name]
 
     def _key(self, shape: Shape, lanes: int) -> str | None:
         """The program's name on disk; None if it is not kept there."""
@@ -287,8 +288,7 @@ def _is_kept(key: str | None) -> bool:
 
 def _are_elsewhere(arrays: Sequence) -> bool:
     """Whether arrays are on another device than that for which programs are compiled."""
-    here = store.device()
-    return any(isinstance(leaf, jax.Array) and leaf.devices() != {here} for leaf in arrays)
+    return any(isinstance(leaf, jax.Array) and leaf.devices() != {device()} for leaf in arrays)
 
 
 def is_array(leaf: Any) -> bool:

@@ -29,9 +29,12 @@ def _chosen(name: str) -> Any:
 
 
 @contextmanager
-def own_settings() -> Iterator[None]:
-    """Compute with the settings that the package needs."""
+def own_settings(arguments: Any = None) -> Iterator[None]:
+    """Compute with the settings that the package needs, on the device on which the arguments are."""
     with ExitStack() as stack:
+        there = _other_device(arguments)
+        if there is not None:
+            stack.enter_context(jax.default_device(there))
         for name, value in NEEDED.items():
             if _chosen(f"jax_{name}") != value:
                 stack.enter_context(getattr(jax, name)(value))
@@ -40,12 +43,30 @@ def own_settings() -> Iterator[None]:
         yield
 
 
+def device() -> jax.Device:
+    """The device on which programs run, for which they are compiled."""
+    chosen = _chosen("jax_default_device")
+    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
+
+
+def _other_device(arguments: Any) -> jax.Device | None:
+    """The device of the first array that is not on the default device; None if there is no such array."""
+    if jax.local_device_count() == 1:
+        return None
+    here = device()
+    for leaf in jax.tree.leaves(arguments):
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.devices() != {here}:
+            there, *others = leaf.devices()
+            return None if others else there
+    return None
+
+
 def with_own_settings(function: Function) -> Function:
-    """Decorator: the function computes with the settings that the package needs."""
+    """Decorator: the function computes with the package's settings, on the device of its arguments."""
 
     @functools.wraps(function)
     def run(*args, **kwargs):
-        with own_settings():
+        with own_settings((args, kwargs)):
             return function(*args, **kwargs)
 
     return run  # pyright: ignore[reportReturnType]
@@ -56,21 +77,21 @@ def in_double(function: Function) -> Function:
 
     @functools.wraps(function)
     def run(*args, **kwargs):
-        with jax.enable_x64(True), own_settings():
+        with jax.enable_x64(True), own_settings((args, kwargs)):
             return function(*args, **kwargs)
 
     return run  # pyright: ignore[reportReturnType]
 
 
 def as_here(function: Callable) -> Callable:
-    """The function with this thread's precision and the package's settings, for other threads or for later.
+    """The function with this thread's precision and device and the package's settings, for other threads or for later.
 
-    Other threads do not see that `jax.enable_x64` surrounds this one.
+    Other threads do not see that `jax.enable_x64` or `jax.default_device` surround this one.
     """
-    precise = _chosen("jax_enable_x64")
+    precise, device = _chosen("jax_enable_x64"), _chosen("jax_default_device")
 
     def run(*args):
-        with jax.enable_x64(precise), own_settings():
+        with jax.enable_x64(precise), jax.default_device(device), own_settings():
             return function(*args)
 
     return run

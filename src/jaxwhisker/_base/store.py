@@ -40,6 +40,7 @@ from jax.experimental import serialize_executable
 from jaxlib.utils import absl_set_min_log_level
 
 from jaxwhisker._base import sources
+from jaxwhisker._base.settings import device
 
 LARGEST = 512 * 2**20  # bytes; when the store is larger, the entries that were not used for longest are deleted
 MAGIC = b"jaxwhisker program 2\n"
@@ -98,12 +99,6 @@ def _others(status: os.stat_result) -> str | None:
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return "other users can write to it"
     return None
-
-
-def device() -> Any:
-    """The device for which programs are compiled."""
-    chosen = getattr(jax.config, "jax_default_device")  # noqa: B009, pyright does not know it
-    return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
 
 
 @functools.cache
