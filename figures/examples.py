@@ -1,6 +1,6 @@
 """Draw the figures that show results of examples: python figures/examples.py
 
-Writes docs/scan.png, worked_example.png, derivatives.png, information.png, contour.png and film.gif.
+Writes docs/scan.png, worked_example.png, worked_example_space.png, derivatives.png, information.png, contour.png and film.gif.
 """
 
 import contextlib
@@ -36,16 +36,17 @@ def scan_fb(stiffness, control):
 
 
 def draw_overviews() -> None:
-    """The output of `overview` for two coupled whiskers, and that of the code on the page docs/worked_example.md."""
+    """The output of `overview` for two coupled whiskers, and that of the code on the pages of worked examples."""
     scene = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfbr(70.0, 0.2))
     jw.plot.save(jw.plot.overview(jw.scan(scene)), DOCS / "scan.png", dpi=130)
-    names, page = {}, (DOCS / "worked_example.md").read_text("utf-8")
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        for block in re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
-            exec(block, names)
-            if "figure" in names:
-                break
-    jw.plot.save(names["figure"], DOCS / "worked_example.png", dpi=130)
+    for name in ("worked_example", "worked_example_space"):
+        names, page = {}, (DOCS / f"{name}.md").read_text("utf-8")
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            for block in re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
+                exec(block, names)
+                if "figure" in names:
+                    break
+        jw.plot.save(names["figure"], DOCS / f"{name}.png", dpi=130)
 
 
 def draw_derivatives() -> None:
