@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from jaxwhisker._base import program as programs
+from jaxwhisker._base import store
 from jaxwhisker._base.primitive import LANES
 from jaxwhisker._base.program import Program
 
@@ -58,6 +59,21 @@ def test_arguments_that_are_no_arrays_are_static():
     assert scale(jnp.asarray(4.0), "b", 2) == {"name": "b", "x": 8.0}
     assert scale(jnp.asarray(4.0), "b", 3) == {"name": "b", "x": 12.0}
     assert len(traces) == 3
+
+
+def test_xla_logs_nothing_while_it_compiles(monkeypatch):
+    """After two minutes of compilation, it would print that this is slow, and ask for a bug report."""
+    levels, before = [], jax.stages.Lowered.compile
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", "1")  # the default of jax
+
+    def compiled(lowered, *options):
+        levels.append(("compiles", *levels[-1:]))
+        return before(lowered, *options)
+
+    monkeypatch.setattr(store, "absl_set_min_log_level", levels.append)
+    monkeypatch.setattr(jax.stages.Lowered, "compile", compiled)
+    Program(lambda x: x + 1.0)(jnp.arange(7.0))
+    assert ("compiles", store.FATAL) in levels and levels[-1] == 1
 
 
 def test_only_so_many_executables_are_kept(monkeypatch):

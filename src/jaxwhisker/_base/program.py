@@ -251,7 +251,7 @@ class Program:
         results = self._results[shape]
 
         def compiled():
-            with announced(kept=_is_kept(key)):
+            with announced(kept=_is_kept(key)), store.silent():
                 if key is None:
                     return lowered.compile(self._options)
                 name = store.name_of(key, lowered, self._options)

@@ -228,7 +228,7 @@ def executable(code: Any) -> jax.stages.Compiled | None:
         if b"lapack" in serialized:
             # jax initialises LAPACK when it lowers a function that needs it. Without it the process would crash.
             jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.dtype(np.float32)))
-        with _silent():
+        with silent():
             return serialize_executable.deserialize_and_load(serialized, arguments, results, chosen.client, [chosen])
     except Exception as error:  # whatever is wrong, the program can still be compiled
         text = f"A cached program in {folder()} is ignored and compiled again ({error})."
@@ -236,23 +236,23 @@ def executable(code: Any) -> jax.stages.Compiled | None:
         return None
 
 
-_LOADING: list[None] = []  # one entry per thread that loads a program
+_QUIET: list[None] = []  # one entry per thread that loads or compiles a program
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def silent() -> Iterator[None]:
     """Keep XLA from logging errors.
 
     On some processors it logs that a program may crash whenever it loads one, even one that the same processor compiled
-    (openxla/xla#44565).
+    (openxla/xla#44565). After two minutes of compilation, it asks for a bug report.
     """
-    _LOADING.append(None)
+    _QUIET.append(None)
     absl_set_min_log_level(FATAL)
     try:
         yield
     finally:
-        _LOADING.pop()
-        if not _LOADING:
+        _QUIET.pop()
+        if not _QUIET:
             absl_set_min_log_level(int(os.environ.get("TF_CPP_MIN_LOG_LEVEL", "1")))  # the default of jax
 
 
