@@ -119,6 +119,7 @@ def test_derivatives(scan):
         ((0.1, [0.0], (0.0,)), "`slopes` must be at least two"),
         ((0.1, [0.0, 0.0, 0.0], (0.0, 1.0)), r"`log_radius` must be one value per knot \(2\), got .* shape \(3,\)"),
         ((0.1, [0.0, np.nan], (0.0, 1.0)), "`log_radius` must be .* finite numbers, got nan at index 1"),
+        ((0.1, np.ma.masked_equal([0.0, 1.0], 1.0), (0.0, 1.0)), "`log_radius` must be .* got nan at index 1"),
         ((0.1, [0.0, 0.0], (0.0, 1.0), np.inf), "`position` must be a finite number, got inf"),
     ],
 )

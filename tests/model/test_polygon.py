@@ -108,6 +108,7 @@ def test_the_outermost_point_at_a_height():
         (np.zeros((3, 3)), "shape (n, 2), n at least 2", "shape (3, 3)"),
         ("corners", "shape (n, 2), n at least 2", "'corners'"),
         ([(0.0, 0.2), (np.nan, 0.3), (0.0, 0.5)], "finite numbers", "nan"),
+        (np.ma.masked_equal([(-0.4, 0.6), (0.1, 0.2), (0.5, 0.6)], 0.1), "finite numbers", "nan"),
         (WEDGE[::-1], "counter-clockwise", "0.6"),
         ([(-0.4, 0.6), (0.0, 0.6), (0.4, 0.6), (0.0, 0.9)], "no three of them in line", "0.9"),
         ([(-0.4, 0.2), (0.0, 0.4), (0.4, 0.2), (0.4, 0.9), (-0.4, 0.9)], "convex polygon", "0.9"),

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+import jaxwhisker as jw
 from jaxwhisker._scan.dataset import VARIABLES
-from jaxwhisker._study.parameters import FEW, LANES, Blocks, Parameters, blocks_of, split
+from jaxwhisker._study.parameters import FEW, LANES, Blocks, Parameters, blocks_of, parameters_of, split
 
 AXES = {"a": np.arange(3.0), "b": np.arange(5.0)}
 SIZES = {"control": 100, "whisker": 1, "spring": 1, "event": 48}
@@ -17,6 +18,16 @@ def test_points_are_numbered_with_the_last_dimension_running_fastest():
     whole = grid.at((slice(0, 3), slice(0, 5)))
     for name, values in grid.numbered(np.arange(15)).items():
         np.testing.assert_array_equal(whole[name], values)
+
+
+def test_masked_values_are_missing():
+    def build(stiffness):
+        return jw.Scene(jw.Whisker(), jw.Parabola(0.5), jw.Support.fb(stiffness, 0.2))
+
+    values = np.ma.masked_equal([50.0, 60.0, 70.0], 60.0)
+    table = {"stiffness": values}
+    for read in (parameters_of(build, None, table, ()), parameters_of(build, table, {}, ())):
+        np.testing.assert_array_equal(read.values["stiffness"], [50.0, np.nan, 70.0])
 
 
 def test_a_few_points_are_spread_from_both_ends():

@@ -166,7 +166,7 @@ def check_slopes(name: str, values) -> tuple[float, ...]:
 def _as_array(values):
     # Transformations of JAX replace leaves by objects that are not arrays; these pass unchanged.
     try:
-        return jnp.asarray(values, dtype=float)
+        return jnp.asarray(checks.unmasked(values), dtype=float)
     except (TypeError, ValueError):
         return values
 

@@ -348,6 +348,6 @@ def chain(corners: Corners, count: Count) -> Chain:
 
 def _as_rows(values):
     try:
-        return jnp.asarray(values, dtype=float)
+        return jnp.asarray(checks.unmasked(values), dtype=float)
     except (TypeError, ValueError):
         return values  # the constructor rejects it

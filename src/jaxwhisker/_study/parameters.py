@@ -147,7 +147,7 @@ def parameters_of(build: Any, points: Any, axes: Mapping[str, Any], options: tup
     _check_arguments(build, given, options if points is None else ())
     for name, column in given.items():
         checks.vector(name, column, finite=False)
-    values = {str(name): np.array(column, dtype=float) for name, column in given.items()}
+    values = {str(name): np.array(checks.unmasked(column), dtype=float) for name, column in given.items()}
     sizes = {name: column.size for name, column in values.items()}
     if points is not None and len(set(sizes.values())) > 1:
         raise ValueError(f"`points` must have columns of equal length, got lengths {sizes}.")
