@@ -23,8 +23,8 @@ from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._scan.detect import kinds_of
+from jaxwhisker._scan.plane import follow_path_now, path_through, problem_now
 from jaxwhisker._scan.route import across, route_of
-from jaxwhisker._scan.scan import follow_path_now, path_through, problem_now
 from jaxwhisker._scan.steps import interpolate
 
 # isort: split

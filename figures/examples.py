@@ -1,6 +1,7 @@
 """Draw the figures that show results of examples: python figures/examples.py
 
-Writes docs/scan.png, worked_example.png, worked_example_space.png, derivatives.png, information.png, contour.png and film.gif.
+Writes docs/scan.png, worked_example.png, worked_example_space.png, derivatives.png, information.png, contour.png and
+film.gif.
 """
 
 import contextlib

@@ -4,12 +4,10 @@ from typing import Any
 
 import jax
 
-import jaxwhisker as jw
 from jaxwhisker._base import checks
-from jaxwhisker._scan import scan, space_scan
+from jaxwhisker._scan.scan import mechanics_of
 
 
 def dimensionless(scene: Any) -> Any:
     """The dimensionless problem of a scene, in the plane or in space."""
-    module = scan if isinstance(scene, jw.Scene) else space_scan
-    return module.problem_now(jax.tree.map(checks.as_float, scene))
+    return mechanics_of(scene).problem(jax.tree.map(checks.as_float, scene))

@@ -16,11 +16,11 @@ from jaxwhisker._base import checks, program, sources, store
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._model.canonical import canonical
-from jaxwhisker._scan import scan, space_scan
+from jaxwhisker._scan import plane, space
 from jaxwhisker._scan.route import across
 from jaxwhisker._space.problem import problem_in_space
 
-SOURCE = Path(scan.__file__).parents[1]
+SOURCE = Path(plane.__file__).parents[1]
 ENDS = tuple(map(np.asarray, across()))
 FB = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fb(70.0, 0.2))
 SPACE = jw.Scene(jw.Whisker(), jw.Sphere(0.5, (0.0, 0.8, 0.1)), jw.Support.fb(70.0, 0.2))
@@ -48,33 +48,34 @@ PATHS = {"_base", "_rod", "_model", "_equilibrium", "_path"}
 
 
 def test_a_path_in_the_plane_depends_on_neither_results_nor_space_nor_figures():
-    found = sources.modules(described(scan.follow_path_now, problem_of(floats(FB)), *ENDS))
+    found = sources.modules(described(plane.follow_path_now, problem_of(floats(FB)), *ENDS))
     scans = {name for name in found if name.startswith("jaxwhisker._scan.")}
-    assert packages(found) == {*PATHS, "_scan"} and scans == {"jaxwhisker._scan.scan"}
+    assert packages(found) == {*PATHS, "_scan"} and scans == {"jaxwhisker._scan.plane"}
     assert {"jaxwhisker._path.march", "jaxwhisker._rod.rod", "jaxwhisker._model.conic"} <= found
     assert len(found) <= 70
 
 
 def test_a_path_in_space_depends_on_neither_results_nor_figures():
-    found = sources.modules(described(space_scan.follow_path_now, problem_in_space(floats(SPACE)), *ENDS))
+    found = sources.modules(described(space.follow_path_now, problem_in_space(floats(SPACE)), *ENDS))
     scans = {name for name in found if name.startswith("jaxwhisker._scan.")}
-    assert packages(found) == {*PATHS, "_space", "_scan"} and scans == {"jaxwhisker._scan.space_scan"}
+    assert packages(found) == {*PATHS, "_space", "_scan"} and scans == {"jaxwhisker._scan.space"}
     assert "jaxwhisker._model.surface" in found
     assert len(found) <= 76
 
 
 def problem_program(scene):
     """The program that makes the problem of a scene, and its argument."""
-    plane = isinstance(scene, jw.Scene)
-    return (scan.canonical_problem_now, canonical(floats(scene))) if plane else (space_scan.problem_now, floats(scene))
+    if isinstance(scene, jw.Scene):
+        return plane.canonical_problem_now, canonical(floats(scene))
+    return space.problem_now, floats(scene)
 
 
 def test_classes_of_arguments_count():
-    plain, polygon = (
+    smooth, polygon = (
         sources.modules(described(*problem_program(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)))))
         for profile in (jw.Parabola(0.2), jw.Box(0.2, 0.5, 0.4))
     )
-    assert polygon - plain == {"jaxwhisker._model.polygon"}
+    assert polygon - smooth == {"jaxwhisker._model.polygon"}
 
 
 def files_run(function, *args):
@@ -97,9 +98,7 @@ def files_run(function, *args):
 
 @pytest.mark.parametrize("scene", [FB, SPACE], ids=["plane", "space"])
 def test_tracing_runs_no_code_of_other_modules(scene):
-    space = scene is SPACE
-    build = problem_in_space if space else problem_of
-    module = space_scan if space else scan
+    build, module = (problem_in_space, space) if scene is SPACE else (problem_of, plane)
     problem = jax.jit(build)(floats(scene))
     for one, *args in (problem_program(scene), (module.follow_path_now, problem, *ENDS)):
         run = files_run(one.function, *args)
@@ -125,13 +124,13 @@ def test_a_digest_changes_with_any_of_its_sources(monkeypatch):
 
 
 def test_only_imports_that_a_named_definition_uses_count():
-    whole = sources._imports("jaxwhisker._scan.scan")
-    used = sources._used_by("jaxwhisker._scan.scan", "follow_path")
-    assert "jaxwhisker._scan.space_scan" in whole - used
+    whole = sources._imports("jaxwhisker._scan.plane")
+    used = sources._used_by("jaxwhisker._scan.plane", "follow_path")
+    assert "jaxwhisker._scan.springs" in whole - used
     assert "jaxwhisker._path.march" in used
     # Through another definition of the same module, and through an import within a function.
-    assert "jaxwhisker._equilibrium.dimensionless" in sources._used_by("jaxwhisker._scan.scan", "scan_across")
-    assert "jaxwhisker._scan.space_scan" in sources._used_by("jaxwhisker._scan.scan", "scan")
+    assert "jaxwhisker._scan.route" in sources._used_by("jaxwhisker._scan.scan", "scan_across")
+    assert "jaxwhisker._scan.space" in sources._used_by("jaxwhisker._scan.scan", "scan")
 
 
 def test_imports_for_types_only_do_not_count():

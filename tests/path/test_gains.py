@@ -10,8 +10,8 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import FORCE
 from jaxwhisker._path.gains import without_gains
 from jaxwhisker._path.path import Status, is_snap
+from jaxwhisker._scan.plane import follow_path_now
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import follow_path_now
 from scenes import model
 
 SOFT = 10.0  # a whisker on this spring snaps past the vertex

@@ -13,7 +13,7 @@ from mpl_toolkits.mplot3d import Axes3D
 
 import jaxwhisker as jw
 from jaxwhisker import plot
-from jaxwhisker._scan.space_scan import problem_now
+from jaxwhisker._scan.space import problem_now
 from jaxwhisker.plot import space
 from pictured import LENGTH
 

@@ -80,7 +80,7 @@ def test_a_result_from_states_has_spring_lengths_and_failures_but_no_events():
     base_x = jnp.array([[0.3], [np.nan]])
     state = state_of(scanned)
     state = State(**vars(state) | {"base_x": base_x})
-    result = result_of(scanned.scene, state, jnp.asarray(scanned.control))
+    result = result_of(scanned.scene, state, None, jnp.asarray(scanned.control))
     np.testing.assert_allclose(result.spring_length, base_x - scanned.control[:, None], atol=1e-15)
     assert result.status.tolist() == [jw.Status.ok, jw.Status.lost]
     np.testing.assert_array_equal(result.fx, scanned.fx)

@@ -18,16 +18,10 @@ from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._model.canonical import canonical
+from jaxwhisker._scan.blocks import BLOCK
+from jaxwhisker._scan.plane import Plane, canonical_problem_now, follow_path_now, problem_now
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.scan import (
-    BLOCK,
-    canonical_problem_now,
-    events_now,
-    follow_path_now,
-    problem_now,
-    solved_states_now,
-)
-from jaxwhisker._scan.slopes import event_slopes_now, state_slopes_now
+from jaxwhisker._scan.slopes import event_slopes_now, events_now, solved_states_now, state_slopes_now
 from operations import operations, rods, traced
 from scenes import model
 
@@ -188,17 +182,18 @@ def test_programs_of_a_scan_have_a_limited_size():
     problem = problem_now(scene)
     step = np.zeros(BLOCK)
     path = follow_path_now(problem, *map(np.asarray, across())).path
-    *_, solutions = solved_states_now(problem, path, step, step)
+    *_, solutions = solved_states_now(Plane, problem, path, step, step, None)
     calls = {
         canonical_problem_now: (canonical(scene),),
         follow_path_now: (problem, *map(np.asarray, across())),
-        solved_states_now: (problem, path, step, step),
-        events_now: (problem, path),
-        state_slopes_now: (problem, step, solutions),
-        event_slopes_now: (problem, path),
+        solved_states_now: (Plane, problem, path, step, step, None),
+        events_now: (Plane, problem, path, None),
+        state_slopes_now: (Plane, problem, step, solutions, None),
+        event_slopes_now: (Plane, problem, path, None),
     }
     for program, args in calls.items():
-        lowered = jax.jit(program.function).lower(*args)
+        static = (0,) if args[0] is Plane else ()
+        lowered = jax.jit(program.function, static_argnums=static).lower(*args)
         fusions = program.executable(*args).as_text().count(" fusion(")
         most_operations, *most_fusions = SIZES[program.function.__name__]
         assert lowered.as_text().count("stablehlo.") < GROWTH * most_operations, program.function.__name__

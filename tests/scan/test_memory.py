@@ -10,8 +10,9 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import Node, Path
-from jaxwhisker._scan.memory import with_memory
-from jaxwhisker._scan.steps import Solutions, with_places
+from jaxwhisker._scan.mechanics import Solutions
+from jaxwhisker._scan.memory import Memory, memory_of
+from jaxwhisker._scan.plane import Plane
 
 
 def state(steps, places=None):
@@ -26,37 +27,6 @@ def places(steps, first=0.0):
     return jnp.asarray(both[0]), jnp.asarray(both[1])
 
 
-NODES = np.array([0, 0, 2, 1])
-
-
-def solutions(own):
-    count = NODES.size
-    return Solutions(jnp.zeros((count, 2, 3)), state(count, own), jnp.zeros(count, int), jnp.asarray(NODES))
-
-
-def test_steps_have_the_places_of_the_node_before_them():
-    known = places(3)
-    found = with_places(solutions(places(NODES.size, first=100.0)), known)
-    assert found.state.places is not None and found.state.friction is not None
-    for step, node in zip(found.state.places, known, strict=True):
-        np.testing.assert_array_equal(step, np.asarray(node)[NODES])
-    np.testing.assert_array_equal(found.state.friction.slip, 1)
-
-
-def test_derivatives_pass_from_nodes_to_steps():
-    def total(parameter):
-        found = with_places(solutions(places(NODES.size)), (parameter, jnp.zeros((3, 2))))
-        assert found.state.places is not None
-        return jnp.sum(found.state.places[0] * jnp.array([1.0, 10.0, 100.0, 1000.0])[:, None])
-
-    np.testing.assert_array_equal(jax.grad(total)(jnp.zeros((3, 2))), [[11.0] * 2, [1000.0] * 2, [100.0] * 2])
-
-
-def test_without_friction_there_is_no_memory():
-    own = solutions(None)
-    assert with_places(own, None) is own
-
-
 def test_a_path_remembers_controls_and_places_on_both_sides_of_its_nodes():
     count = 3
     fields: dict[str, Any] = dict.fromkeys(Node._fields) | {
@@ -66,7 +36,46 @@ def test_a_path_remembers_controls_and_places_on_both_sides_of_its_nodes():
     }
     path = Path(Node(**fields), jnp.asarray(count), jnp.asarray(0))
     controls, now, before = jnp.arange(3.0), places(count, 10.0), places(count, 50.0)
-    nodes = with_memory(path, controls, now, before).nodes
+    remembering = Memory(controls, now, before).on(path)
+    nodes = remembering.nodes
     assert nodes.point.z is fields["point"].z and nodes.point.u is controls
     assert nodes.state.places == now and nodes.before.places == before
     assert all(getattr(nodes, name) is None for name in set(Node._fields) - {"point", "state", "before"})
+    found = memory_of(remembering)
+    assert found is not None and found.control is controls and (found.places, found.places_before) == (now, before)
+
+
+NODES = np.array([0, 0, 2, 1])
+
+
+def solutions():
+    count = NODES.size
+    own = state(count, places(count, first=100.0))
+    return Solutions(jnp.zeros((count, 2, 3)), own, jnp.zeros(count, int), jnp.asarray(NODES))
+
+
+def remembered(known):
+    path: Any = None
+    found = Plane.remembered(Memory(jnp.zeros(3), known, known), path, solutions())
+    assert found is not None
+    return found
+
+
+def test_steps_have_the_places_of_the_node_before_them():
+    known = places(3)
+    found = remembered(known)
+    for step, node in zip(found, known, strict=True):
+        np.testing.assert_array_equal(step, np.asarray(node)[NODES])
+
+
+def test_derivatives_pass_from_nodes_to_steps():
+    def total(parameter):
+        found = remembered((parameter, jnp.zeros((3, 2))))
+        return jnp.sum(found[0] * jnp.array([1.0, 10.0, 100.0, 1000.0])[:, None])
+
+    np.testing.assert_array_equal(jax.grad(total)(jnp.zeros((3, 2))), [[11.0] * 2, [1000.0] * 2, [100.0] * 2])
+
+
+def test_without_friction_there_is_no_memory():
+    path: Any = None
+    assert Plane.remembered(None, path, solutions()) is None

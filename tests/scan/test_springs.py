@@ -1,5 +1,6 @@
 """Walks along a whisker past a spring and a foundation against scipy; lengths of springs of bases in closed form."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,8 @@ from jaxwhisker._scan.springs import (
     outwards,
     shaft_energy,
     spring_length,
+    spring_lengths,
+    spring_tangents,
     suspension,
 )
 from scenes import follicle
@@ -26,6 +29,7 @@ from scenes import follicle
 ROD = 1e-9  # of rods that scipy integrates to 1e-12
 EXACT = 1e-13
 ENERGY = 1e-8
+STEPS = 3
 WHISKER = jw.Whisker(1.2, 1.7)
 AXIAL = jw.Spring((0, 1), 20.0, 0.2, axis="axial", at=0.4, anchor=(-0.25, 0.3))
 TISSUE = jw.Foundation(0.1, 0.25, 30.0, 0.02)
@@ -152,3 +156,46 @@ def test_lengths_of_springs_along_x():
     ends = np.array([0.3, 0.5, 0.9])
     expected = [ends[spring.between[1]] - ends[spring.between[0]] for spring in scene.support.springs]
     np.testing.assert_allclose(found, expected, atol=EXACT)
+
+
+def turning(count=1):
+    """A turning base; with many whiskers, more numbers than slopes are worth."""
+    motion = jw.Rotation((0.3, -0.2), 0.4)
+    if count == 1:
+        return jw.Scene(
+            jw.Whisker(), jw.Parabola(0.2), follicle(70.0, 200.0, 5.0, mount=(0.05, 0.02, 0.1)), motion=motion
+        )
+    springs = tuple(jw.Spring((0, k), 70.0, 0.2 * k) for k in range(1, count + 1))
+    return jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support(springs), motion=motion)
+
+
+def test_tangents_of_spring_lengths_are_those_of_jax():
+    some, rng = suspension(turning()), np.random.default_rng(1)
+    bases = tuple(jnp.asarray(rng.normal(size=(STEPS, 1))) for _ in range(3))
+    control = jnp.asarray(rng.normal(size=STEPS))
+    numbers, rest = eqx.partition(some, eqx.is_inexact_array)
+    numbers = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), numbers)
+    some = eqx.combine(numbers, rest)
+    dots = jax.tree.map(lambda leaf: jnp.asarray(rng.normal(size=leaf.shape)), (numbers, bases, control))
+
+    @jax.jit
+    def by_jax(*dots):
+        def lengths(numbers, bases, control):
+            return spring_lengths(eqx.combine(numbers, rest), bases, control)
+
+        return jax.jvp(lengths, (numbers, bases, control), dots)[1]
+
+    np.testing.assert_allclose(spring_tangents((some, bases, control), dots, None), by_jax(*dots), atol=EXACT)
+    # What has no tangent stays where it is.
+    none, (_, y, _) = jax.tree.map(lambda _: None, numbers), dots[1]
+    still, zero, _ = jax.tree.map(jnp.zeros_like, (numbers, y, control))
+    found = spring_tangents((some, bases, control), (none, (None, y, None), None), None)
+    np.testing.assert_allclose(found, by_jax(still, (zero, y, zero), zero[:, 0]), atol=EXACT)
+    assert np.any(found != 0)
+
+
+def test_scenes_of_many_numbers_are_left_to_jax():
+    many = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float) if isinstance(leaf, float) else leaf, turning(40))
+    bases = (jnp.zeros((STEPS, 40)),) * 3
+    none = jax.tree.map(lambda _: None, eqx.filter(many, eqx.is_inexact_array))
+    assert spring_tangents((many, bases, jnp.zeros(STEPS)), (none, (None,) * 3, None), None) is NotImplemented

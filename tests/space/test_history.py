@@ -10,7 +10,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import EventKind
-from jaxwhisker._scan.space_scan import follow_path
+from jaxwhisker._scan.space import follow_path
 from jaxwhisker._space.history import interpolated, linked, measure_of, stages_before
 from jaxwhisker._space.slip import radau
 

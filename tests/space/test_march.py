@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import across
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now
+from jaxwhisker._scan.space import follow_path_now, problem_now
 from jaxwhisker._space.contact import FORCE
+from jaxwhisker._space.march import capacity_of
 from jaxwhisker._space.march_state import SETTLED
 from random_space import drawn
 
@@ -89,3 +91,12 @@ def test_contacts_that_can_neither_stick_nor_slip_settle_at_a_node_of_their_own(
     rests = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == SETTLED)
     assert rests.size > 0
     np.testing.assert_array_equal(path.nodes.z_before[rests], path.nodes.point.z[rests - 1])
+
+
+def test_paths_have_room_for_every_whisker_and_every_leg_of_the_drive():
+    """Two coupled whiskers that go there and back need more than twice the nodes of one whisker."""
+    springs = tuple(jw.Spring(ends, 70.0, 0.1) for ends in ((0, 1), (1, 2)))
+    support = jw.Support((*springs, jw.Spring((0, 1), 40.0, axis="z"), jw.Spring((1, 2), 30.0, axis="z")))
+    two = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support))
+    one = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2))))
+    assert capacity_of(two, 3) > 2 * capacity_of(one, 2)

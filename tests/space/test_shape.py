@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now
+from jaxwhisker._scan.space import follow_path_now, problem_now
 from jaxwhisker._space.problem import of_each
 from jaxwhisker._space.shape import LOADED, UNLOADED, shape, touches_twice
 from random_space import Cone

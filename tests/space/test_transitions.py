@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.free import Nearest
@@ -18,7 +17,6 @@ from jaxwhisker._space.transitions import (
     RELEASE,
     TOUCH,
     TOUCHING,
-    capacity_of,
     margins_of,
 )
 
@@ -60,12 +58,3 @@ def test_a_default_scan_ends_shortly_after_the_release():
     result = jw.scan(scene)
     (release,) = result.events.of(jw.EventKind.release)
     assert 0 < float(result.control[-1]) - release.control < PASSED
-
-
-def test_paths_have_room_for_every_whisker_and_every_leg_of_the_drive():
-    """Two coupled whiskers that go there and back need more than twice the nodes of one whisker."""
-    springs = tuple(jw.Spring(ends, 70.0, 0.1) for ends in ((0, 1), (1, 2)))
-    support = jw.Support((*springs, jw.Spring((0, 1), 40.0, axis="z"), jw.Spring((1, 2), 30.0, axis="z")))
-    two = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support))
-    one = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2))))
-    assert capacity_of(two, 3) > 2 * capacity_of(one, 2)

@@ -9,7 +9,9 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base.aside import Compilers
-from jaxwhisker._scan.scan import events_now, follow_path_now, prepare_scan, solved_states_now
+from jaxwhisker._scan.plane import follow_path_now
+from jaxwhisker._scan.scan import prepare_scan
+from jaxwhisker._scan.slopes import events_now, solved_states_now
 from jaxwhisker.thesis import scans as module
 from jaxwhisker.thesis.catalogue import FIGURES
 from jaxwhisker.thesis.claims import CLAMPED_CASE, PEAKS, deviation_from_clamped, needed

@@ -93,7 +93,7 @@ class Program:
         self.together = together
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
-        self._executables: dict[tuple[Shape, int, jax.Device], Future] = {}
+        self._executables: dict[tuple[Shape, int, Any], Future] = {}
         _PROGRAMS.append(self)
 
     @with_own_settings

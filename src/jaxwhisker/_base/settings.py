@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, TypeVar
 
 import jax
+from jax.core import Tracer
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -43,19 +44,19 @@ def own_settings(arguments: Any = None) -> Iterator[None]:
         yield
 
 
-def device() -> jax.Device:
+def device() -> Any:
     """The device on which programs run, for which they are compiled."""
     chosen = _chosen("jax_default_device")
     return chosen if isinstance(chosen, jax.Device) else jax.devices(chosen)[0]
 
 
-def _other_device(arguments: Any) -> jax.Device | None:
+def _other_device(arguments: Any) -> Any:
     """The device of the first array that is not on the default device; None if there is no such array."""
     if jax.local_device_count() == 1:
         return None
     here = device()
     for leaf in jax.tree.leaves(arguments):
-        if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.devices() != {here}:
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and leaf.devices() != {here}:
             there, *others = leaf.devices()
             return None if others else there
     return None

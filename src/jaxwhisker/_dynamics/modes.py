@@ -27,10 +27,11 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import lines_of, sorted_loads
+from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.deflect import Deflection
+from jaxwhisker._scan.plane import problem_now
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.scan import in_blocks, problem_now
 from jaxwhisker._scan.signals import signals
 
 BLOCK = 64  # steps computed by one call
@@ -297,7 +298,7 @@ def _unloaded_modes(
 ) -> Modes:
     u = jnp.asarray(0.0 if problem.ends is None else problem.ends[0])
     z, _ = problem.unloaded(u)
-    state, _ = signals(problem, z, u, all_free(problem, jnp.ones_like(problem.length)))
+    state, *_ = signals(problem, z, u, all_free(problem, jnp.ones_like(problem.length)))
     at = Equilibrium(**{name: getattr(state, name) for name in Equilibrium._fields})
     status = jnp.asarray(Status.ok)
     return _modes_of(problem, whiskers, _dimensionless(problem, at), status, u, None, damping, count, points)

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from jaxwhisker._explore.picture import PAGE_LINE_POINTS, SCAN_STEPS
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE, UnitSystem, quantity
+from jaxwhisker._scan.scan import scan_across
 from jaxwhisker._scan.space_result import SpaceResult
-from jaxwhisker._scan.space_scan import scan_in_space
 from jaxwhisker.plot.body import Body
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.space import DIRECTOR, NAME_PLACES, SpaceDrawing, drawings, surroundings
@@ -61,7 +61,7 @@ class SpacePicture(NamedTuple):
 
 def picture_in_space(scene: SpaceScene) -> SpacePicture:
     """Scan a scene in space; scenes with the same structure share the programs."""
-    result = scan_in_space(scene, steps=SCAN_STEPS)
+    result = scan_across(scene, SCAN_STEPS)
     drawn = drawings(result, np.arange(SCAN_STEPS), PAGE_LINE_POINTS)
     body, low, high = surroundings(scene, drawn)
     return SpacePicture(result, drawn, body, ROUND * np.stack([np.floor(low / ROUND), np.ceil(high / ROUND)]))

@@ -15,7 +15,6 @@ from jaxwhisker._scan.channels import (
     arguments_of,
     columns_of,
     example_of,
-    result_in_space,
     result_of,
     traced_channels,
 )
@@ -95,20 +94,17 @@ def _signals_and_slopes(
 ) -> tuple[Array, Array]:
     """Signals from a function, (steps, 1, names), and their derivatives along a last axis of directions.
 
-    In space, the state is a pair of states and displacements of the bases. Values of the function's further arguments
+    The state is a pair of states and displacements of the bases. Values of the function's further arguments
     come with their own derivatives.
     """
     values, value_slopes = arguments
     smooth, rest = eqx.partition((scene, state), eqx.is_inexact_array)
 
     def signals(smooth, control, values):
-        scene, state = eqx.combine(smooth, rest)
-        result = (
-            result_in_space(scene, state[0], state[1], control)
-            if channels.in_space
-            else result_of(scene, state, control)
+        scene, (state, displacement) = eqx.combine(smooth, rest)
+        return channels.of_result(
+            result_of(scene, state, displacement, control), dict(zip(channels.parameters, values, strict=True))
         )
-        return channels.of_result(result, dict(zip(channels.parameters, values, strict=True)))
 
     def towards(*dots):
         return jax.jvp(signals, (smooth, control, values), dots)

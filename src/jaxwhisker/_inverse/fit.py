@@ -21,9 +21,9 @@ from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import units
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import BLOCK
 
 SINGULAR = 1e-9  # least singular value of whitened gains, with columns of length 1, that determine six reactions
 NUMERICAL = 1e-6  # of the peak: residuals below it are numerical

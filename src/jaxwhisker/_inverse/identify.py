@@ -26,10 +26,10 @@ from jaxwhisker._inverse.statistics import noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import units
+from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.channels import arguments_of
 from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.route import turns_of
-from jaxwhisker._scan.scan import BLOCK
 
 LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
 SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables

@@ -12,7 +12,7 @@ from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._inverse.channels import channels_from, reactions_of
 from jaxwhisker._inverse.gains import gains_from
-from jaxwhisker._inverse.least_squares import linearised_scan
+from jaxwhisker._inverse.linearised import LinearisedScan
 from jaxwhisker._inverse.observations import Observations, channel_pattern, read_observations
 from jaxwhisker._inverse.parameters import build_scene, check_traceable, read_parameters, transforms_of
 from jaxwhisker._inverse.residuals import UNIFORM
@@ -313,7 +313,7 @@ def information_at(
     x = np.array([at[name] for name in unknowns.all_names])
     own, parts = unknowns.scene_values(x.tolist()), split(unknowns, x)
     known = {"channels": unknowns.channels, "values": parts.channels}
-    scan = linearised_scan(build, own, np.asarray(route.stops), route.last, chosen, **known)
+    scan = LinearisedScan(build, own, np.asarray(route.stops), route.last, chosen, **known)
     # Derivatives come in the order of the unknowns: by the scene's parameters first.
     order = [unknowns.all_names.index(name) for name in at]
     table, event_slopes = jax.tree.map(np.asarray, (scan.events, scan.event_slopes))

@@ -4,7 +4,7 @@ The loop runs in NumPy. Residuals and derivatives come from programs that do not
 share, so that a fit of another `build` compiles nothing but `build` itself.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._inverse.channels import Channels
-from jaxwhisker._inverse.linearised import REACTION_CHANNELS, AbstractLinearisedScan, LinearisedScan, Signals
+from jaxwhisker._inverse.linearised import LinearisedScan, Signals
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -78,25 +77,6 @@ class Minimum(NamedTuple):
         """Residuals and their derivatives, without those of the prior."""
         rows = self.residual.size - self.y.size
         return self.residual[:rows], self.jacobian[:rows]
-
-
-def linearised_scan(
-    build: Callable[..., Any],
-    x: Mapping[str, Any],
-    stops: np.ndarray,
-    last: Any,
-    known: Mapping[str, float] | None = None,
-    *,
-    channels: Channels = REACTION_CHANNELS,
-    values: Any = (),
-    shift: bool = False,
-) -> AbstractLinearisedScan:
-    """The linearised scan of a scene in the plane or in space."""
-    if not channels.in_space:
-        return LinearisedScan(build, x, stops, last, known, channels, values, shift)
-    from jaxwhisker._inverse.linearised_in_space import LinearisedSpaceScan
-
-    return LinearisedSpaceScan(build, x, stops, last, known, channels, values, shift)
 
 
 class LeastSquares(NamedTuple):
@@ -169,7 +149,7 @@ class LeastSquares(NamedTuple):
         stops, last = (np.full_like(data.stops, np.nan), 1) if data.overlaid else (data.stops + shift, data.last)
         parameters = dict(zip(unknowns.build, parts.build, strict=True))
         known = {"channels": unknowns.channels, "values": parts.channels, "shift": unknowns.shift}
-        scan = linearised_scan(self.build, parameters, stops, last, **known)
+        scan = LinearisedScan(self.build, parameters, stops, last, **known)
         placed, by = placed_and_slopes_now(shift, scan.start, scan.events, data, scan.shift_slopes, scan.event_slopes)
         placed, by = jax.tree.map(np.asarray, (placed, by))
         signals = scan.signals(placed.control, placed.travel, by.control)

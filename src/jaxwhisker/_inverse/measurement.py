@@ -25,7 +25,8 @@ from jaxwhisker._inverse.parameters import check_traceable
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solved_states_now
+from jaxwhisker._scan.slopes import solved_states_now
+from jaxwhisker._scan.space import Space, follow_path_now, problem_now
 from jaxwhisker._space.contact import AHEAD, FORCE, POINT, ROLL, UNKNOWNS, base_of, frame_of, in_drive, on_surface
 from jaxwhisker._space.linear import directions_of, step_along
 from jaxwhisker._space.newton import Phases, phase_by_slack
@@ -105,8 +106,9 @@ class MeasurementModel:
         problem = problem_now(self._scene(values))
         route, _ = route_through(control)
         path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
-        *_, found = solved_states_now(problem, path, np.asarray(route.control), np.asarray(route.travel), None)
-        status, phase = Status(int(found.status[-1])), jnp.asarray(found.phase[-1])
+        steps = np.asarray(route.control), np.asarray(route.travel)
+        *_, found = solved_states_now(Space, problem, path, *steps, None)
+        status, phase = Status(int(found.status[-1])), jnp.asarray(found.state[-1])
         if status != Status.ok or not np.any(phase != Phase.free):
             got = "no contact there" if status == Status.ok else f"a scan that ends before ({status.name})"
             checks.fail("control", "drive positions of which the last one is in contact", got)

@@ -31,8 +31,8 @@ from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
 from jaxwhisker._inverse.recording import check_signs
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._model.support import Support
+from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.quantities import REACTIONS
-from jaxwhisker._scan.scan import BLOCK
 
 if TYPE_CHECKING:
     from jaxwhisker._inverse.points_in_space import SpaceReconstruction

@@ -16,7 +16,7 @@ from jaxwhisker._model.scene import Scene, Sensor, units_of
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.quantities import REACTIONS, REACTIONS_IN_SPACE
 from jaxwhisker._scan.route import across, turns_of
-from jaxwhisker._scan.scan import follow_path_now, problem_now, scan
+from jaxwhisker._scan.scan import mechanics_of, scan
 
 LEAST_POSITIONS = 5  # drive positions from which a scan is recognised
 ENOUGH_DIFFERENCES = 30  # between neighbours, whose scatter then distinguishes contact from noise
@@ -161,14 +161,9 @@ def _at_guess(scene: Any) -> Observations | None:
 
     None if the scene cannot be scanned, which the fit will report.
     """
-    if isinstance(scene, Scene):
-        made, follow, kinds = problem_now, follow_path_now, REACTIONS
-    else:
-        from jaxwhisker._scan import space_scan
-
-        made, follow, kinds = space_scan.problem_now, space_scan.follow_path_now, REACTIONS_IN_SPACE
-    problem = made(jax.tree.map(checks.as_float, scene))
-    path, start, stop = follow(problem, *map(np.asarray, across()))
+    mechanics, kinds = mechanics_of(scene), REACTIONS if isinstance(scene, Scene) else REACTIONS_IN_SPACE
+    problem = mechanics.problem(jax.tree.map(checks.as_float, scene))
+    path, start, stop = mechanics.follow(problem, *map(np.asarray, across()))
     if int(path.status) != Status.ok:
         return None
     with warnings.catch_warnings():

@@ -24,17 +24,16 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._inverse.features import JUMPS, Features
-from jaxwhisker._inverse.linearised import EventTable, event_table
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._path.path import EventKind, is_snap
+from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.channels import result_of
-from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.memory import remembered
+from jaxwhisker._scan.events import EventTable, event_table
+from jaxwhisker._scan.plane import Plane
 from jaxwhisker._scan.route import Route
-from jaxwhisker._scan.scan import BLOCK, path_through
 from jaxwhisker._scan.steps import solved_states
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
@@ -213,13 +212,13 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     shift = parts.shift[0] if unknowns.shift else jnp.zeros(())
     scene = jax.tree.map(checks.as_float, build(**dict(zip(unknowns.build, parts.build, strict=True))))
     problem = problem_of(scene)
-    path, start, _ = path_through(problem, kinds_of(scene), data.stops + shift, data.last)
-    if problem.friction_angle is not None:
-        path = remembered(path, problem, data.stops + shift)
-    placed = place(shift, start, event_table(problem, path), data)
-    state, *_ = solved_states(problem, path, placed.control, placed.travel)
+    path, start, _ = Plane.follow(problem, data.stops + shift, data.last)
+    path = Plane.detected(scene, problem, path)
+    memory = Plane.memory(problem, path, data.stops + shift)
+    placed = place(shift, start, event_table(Plane, problem, path, memory), data)
+    state, _, displacement, _ = solved_states(Plane, problem, path, placed.control, placed.travel, memory)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
-    signals = unknowns.channels.of_result(result_of(scene, state, placed.control), values)
+    signals = unknowns.channels.of_result(result_of(scene, state, displacement, placed.control), values)
     signals = unknowns.gains.applied(signals, parts.gains, jnp)
     for (whisker, kind), offset in zip(unknowns.offsets, parts.offsets, strict=True):
         signals = signals.at[:, whisker, kind].add(offset)

@@ -85,6 +85,14 @@ class Path(NamedTuple):
     status: Int[Array, ""]
 
 
+class ScanPath(NamedTuple):
+    """A path, and the range of the control in which whiskers touch the object."""
+
+    path: Any  # a Path; in space, a SpacePath
+    start: Float[Array, ""]
+    stop: Float[Array, ""]
+
+
 def select(condition, yes, no):
     """Select one of two trees of the same structure by a condition."""
     # Leaves that both trees share need no selection: most decisions of a march change few leaves.

@@ -27,11 +27,14 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
-from jaxwhisker._scan.detect import kinds_of
+from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.panels import POINTS, Ends, Panel
+from jaxwhisker._scan.plane import Plane, problem_now
 from jaxwhisker._scan.result import Events, Result
-from jaxwhisker._scan.scan import BLOCK, in_blocks, path_along, problem_now, route_through, solved_states_now
+from jaxwhisker._scan.route import route_through
+from jaxwhisker._scan.scan import path_along
+from jaxwhisker._scan.slopes import solved_states_now
 from jaxwhisker._scan.springs import held, holds, load_beyond
 from jaxwhisker._scan.state import State, base_of, state_of
 
@@ -99,7 +102,9 @@ def _balance(result: Result) -> EnergyBalance:
     control = result.control if checks.is_traced(result.control) else np.asarray(result.control)
     problem = problem_now(scene)
     route, status = route_through(control)
-    path = path_along(problem, kinds_of(scene), route, status).path
+    path = path_along(Plane, scene, problem, route, status).path
+    memory = Plane.memory(problem, path, route.stops)
+    path = path if memory is None else memory.on(path)
     ends = panels.ends_now(problem, path)
     ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
     every = panels.panels_now(ends)
@@ -112,7 +117,7 @@ def _balance(result: Result) -> EnergyBalance:
     def integrals(*panel):
         panel = Panel(*panel)
         at, travel = points_now(panel)
-        state, step_status, solutions = solved_states_now(problem, path, at, travel)
+        state, step_status, _, solutions = solved_states_now(Plane, problem, path, at, travel, memory)
         return integrals_now(scene, panel, at, state, solutions.state.side, step_status)
 
     table, good = in_blocks(integrals, tuple(every), size)

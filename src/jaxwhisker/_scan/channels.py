@@ -12,8 +12,8 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import Deferred, name_of
 from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.result import AbstractResult, Result
-from jaxwhisker._scan.springs import bases_of, spring_lengths, suspension
+from jaxwhisker._scan.result import AbstractResult
+from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
@@ -76,7 +76,7 @@ def example_of(scene: AbstractScene) -> AbstractResult:
     loads = scene.support.shaft_loads
     fields["shaft_loads"] = (zero,) * loads if loads else None
     fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
-    return result_of(scene, State(**fields), jnp.zeros(EXAMPLE_STEPS))
+    return result_of(scene, State(**fields), None, jnp.zeros(EXAMPLE_STEPS))
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
@@ -86,7 +86,7 @@ def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> Abstr
     fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
     displacement = jnp.zeros((*zero.shape, 6)) if scene.support.springs else None
-    return result_in_space(scene, SpaceState(**fields), displacement, jnp.zeros(EXAMPLE_STEPS))
+    return result_of(scene, SpaceState(**fields), displacement, jnp.zeros(EXAMPLE_STEPS))
 
 
 def columns_of(signals: Any, steps: int) -> dict[str, Array]:
@@ -106,31 +106,17 @@ def columns_of(signals: Any, steps: int) -> dict[str, Array]:
     return columns
 
 
-def result_of(scene: Scene, state: State, control: Float[Array, " steps"]) -> Result:
-    """The result of a scan from its states, for a user's function; without events."""
-    return Result(
-        **{name: getattr(state, name) for name in State.__dataclass_fields__},
+def result_of(scene: Any, state: Any, displacement: Any, control: Float[Array, " steps"]) -> AbstractResult:
+    """The result of a scan from its states and the displacements of the bases, for a user's function; without events.
+
+    Displacements are None in the plane, and if bases are clamped.
+    """
+    mechanics = mechanics_of(scene)
+    lengths = mechanics.lengths(scene, state, displacement, control)
+    return mechanics.result(
+        **{name: getattr(state, name) for name in type(state).__dataclass_fields__},
         control=control,
-        spring_length=spring_lengths(suspension(scene), bases_of(scene, state), control)[
-            :, : len(scene.support.springs)
-        ],
-        status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
-        deferred_events=_WithoutEvents(tuple),
-        scene=scene,
-    )
-
-
-def result_in_space(
-    scene: Any, state: Any, displacement: Float[Array, "steps whiskers 6"] | None, control: Float[Array, " steps"]
-) -> AbstractResult:
-    """The same in space, from the SpaceState and the displacements of the bases, which are None if they are clamped."""
-    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-
-    steps = control.shape[0]
-    return SpaceResult(
-        **{name: getattr(state, name) for name in SpaceState.__dataclass_fields__},
-        control=control,
-        spring_length=jnp.zeros((steps, 0)) if displacement is None else scene.support.spring_length(displacement),
+        spring_length=lengths[:, : len(scene.support.springs)],
         status=jnp.where(jnp.isfinite(state.base_x[:, 0]), Status.ok, Status.lost),
         deferred_events=_WithoutEvents(tuple),
         scene=scene,

@@ -5,6 +5,8 @@ its slip came to rest. That event may itself depend on earlier ones. The march s
 get their derivatives, from event to event.
 """
 
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,52 +25,66 @@ from jaxwhisker._scan.signals import event_point
 LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for
 
 
+class Memory(NamedTuple):
+    """What contacts with friction remember at the nodes of a path; fields (nodes, ...)."""
+
+    control: Float[Array, " nodes"]  # dimensionless; that of an event on which later places depend has derivatives
+    places: Places  # where contacts stick from the node on
+    places_before: Places
+
+    def on(self, path: Path) -> Path:
+        """The path that remembers this."""
+        nodes = path.nodes
+        return path._replace(
+            nodes=nodes._replace(
+                point=nodes.point._replace(u=self.control),
+                state=nodes.state.stuck_at(self.places),
+                before=nodes.before.stuck_at(self.places_before),
+            )
+        )
+
+
+def memory_of(path: Path) -> Memory | None:
+    """What contacts remember, without derivatives; None without friction."""
+    nodes = path.nodes
+    if nodes.state.places is None or nodes.before.places is None:
+        return None
+    u: Any = nodes.point.u
+    return Memory(u, nodes.state.places, nodes.before.places)
+
+
 @eqx.filter_custom_jvp
-def remembered(path: Path, problem: Problem, stops: Float[Array, " stops"]) -> Path:
-    """The path, with derivatives of the places where contacts stick and of the controls of the events there.
+def remembered(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+    """What contacts remember, with derivatives.
 
     Args:
-        path: the path, whose own derivatives are ignored.
         problem: the problem.
+        path: the path, whose own derivatives are ignored.
         stops: where the drive starts, turns and ends, in the scene's units.
     """
-    controls, places = without_rule((path.nodes.point.u, path.nodes.state.places), (problem, stops))
-    return with_memory(path, controls, places, path.nodes.before.places)
+    memory = memory_of(path)
+    assert memory is not None
+    return without_rule(memory, (problem, stops))
 
 
 @remembered.def_jvp
 def _(primals, tangents):
-    path, problem, stops = primals
-    _, problem_dot, stops_dot = tangents
-    path = remembered(path, problem, stops)
+    (problem, path, stops), (problem_dot, _, stops_dot) = primals, tangents
 
     def chain(known):
-        return chained(path, *known)
+        problem, stops = known
+        return chained(problem, path, stops)
 
     dot = eqx.filter_jvp(chain, ((problem, stops),), ((problem_dot, stops_dot),))[1]
-    none = jax.tree.map(lambda _: None, path)
-    return path, with_memory(none, *dot)
+    return remembered(problem, path, stops), dot
 
 
-def with_memory(
-    path: Path, controls: Scalar | Float[Array, " nodes"], places: Places | None, places_before: Places | None
-) -> Path:
-    nodes = path.nodes
-    return path._replace(
-        nodes=nodes._replace(
-            point=nodes.point._replace(u=controls),
-            state=nodes.state.stuck_at(places),
-            before=nodes.before.stuck_at(places_before),
-        )
-    )
-
-
-def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, events: bool = False):
-    """Controls of nodes, and the places where contacts stick from there on and before, with their derivatives.
+def chained(problem: Problem, path: Path, stops: Float[Array, " stops"], *, events: bool = False) -> Memory:
+    """What contacts remember, differentiable by JAX, from one event to the next.
 
     Args:
-        path: the path, without derivatives.
         problem: the problem.
+        path: the path, without derivatives.
         stops: where the drive starts, turns and ends, in the scene's units.
         events: whether controls are those of the events at all nodes, rather than those that contacts remember.
     """
@@ -94,7 +110,7 @@ def chained(path: Path, problem: Problem, stops: Float[Array, " stops"], *, even
     controls = jnp.where(links, jnp.asarray(linked)[jnp.maximum(passed - 1, 0)], controls)
     table = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start[1], places)
     now, before = (jax.tree.map(lambda leaf, at=at: leaf[at], table) for at in (passed, passed - links))
-    return controls, now, before
+    return Memory(controls, now, before)
 
 
 def _linked(previous: Node, carry: tuple[Scalar, Places], link: Bool[Array, ""]) -> Node:

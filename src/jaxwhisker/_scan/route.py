@@ -84,15 +84,13 @@ def _travel(control: Float[Array, " steps"]) -> Float[Array, " steps"]:
 
 def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
     """The route through positions of the drive, and its status; None if the positions are concrete."""
+    if not checks.is_traced(control):
+        return route_of(np.asarray(control, dtype=float)), None
     still = jax.lax.stop_gradient(control)
     if checks.is_traced(still):
         return traced_route_now(jnp.asarray(control, dtype=float))
-    still = np.asarray(still, dtype=float)
-    route = route_of(still)
-    if checks.is_traced(control):
-        control = jnp.asarray(control)
-        route = route._replace(control=control, stops=control[stops_of(still)])
-    return route, None
+    control, still = jnp.asarray(control), np.asarray(still, dtype=float)
+    return route_of(still)._replace(control=control, stops=control[stops_of(still)]), None
 
 
 def default_positions(start: float, stop: float, unit: Units) -> np.ndarray:

@@ -18,41 +18,25 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.aside import Compilers
-from jaxwhisker._base.primitive import LANES
-from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
-from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Control, Scalar
-from jaxwhisker._equilibrium.dimensionless import problem_of
-from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._model.canonical import canonical
-from jaxwhisker._model.scene import AbstractScene, Scene, moves_along_x
-from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.gains import without_gains
-from jaxwhisker._path.march import capacity_of, march, sweeps_of
-from jaxwhisker._path.path import Path, Status, event_room, room_for
-from jaxwhisker._scan.blocks import BLOCK, in_blocks
-from jaxwhisker._scan.detect import Kinds, detect, kinds_of
-from jaxwhisker._scan.memory import remembered
-from jaxwhisker._scan.resolution import warn_of_steps
+from jaxwhisker._model.scene import AbstractScene, Scene
+from jaxwhisker._path.path import ScanPath, Status, room_for
+from jaxwhisker._scan.blocks import in_blocks
+from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory
+from jaxwhisker._scan.plane import Plane
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
     Route,
     across,
     default_positions,
-    evenly,
     evenly_now,
     route_of,
     route_through,
-    traced_route,
     warn_of_no_touch,
 )
-from jaxwhisker._scan.signals import events
-from jaxwhisker._scan.slopes import event_tangents, remembered_tangents, spring_tangents, state_tangents
-from jaxwhisker._scan.springs import bases_of, lengths_along_x, spring_lengths, suspension
-from jaxwhisker._scan.state import State
-from jaxwhisker._scan.steps import solved_states
+from jaxwhisker._scan.slopes import events_now, solved_states_now
 
 if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
@@ -101,78 +85,112 @@ def scan(scene: Any, control: Control | None = None) -> Any:
     checks.float64_mode()
     checks.instance("scene", scene, AbstractScene, "a Scene")
     control = checks.as_array(control)
-    if not isinstance(scene, Scene):
-        from jaxwhisker._scan.space_scan import scan_in_space
-
-        return scan_in_space(scene, control)
     if control is not None:
         checks.vector("control", control)
-    scene = jax.tree.map(checks.as_float, scene)
-    if checks.is_staged((scene, control)):
-        return _scan_staged(scene, control)
-    return _scan(scene, control, TRACED_STEPS if checks.is_traced(scene) else None)
+    return _scan(scene, control)
 
 
-def scan_across(scene: Scene, steps: int) -> Result:
+@with_own_settings
+def scan_across(scene: AbstractScene, steps: int) -> Any:
     """Scan right across the object, at equidistant positions over the range of the default control.
 
     Raises:
         ValueError: if a concrete scene is invalid.
     """
-    scene = jax.tree.map(checks.as_float, scene)
-    if not checks.is_staged(scene):
-        return _scan(scene, None, steps)
-    problem = problem_of(scene)
-    path, start, stop = path_through(problem, kinds_of(scene), *map(jnp.asarray, across()))
-    return _staged_result(scene, problem, path, evenly(start, stop, steps))
+    return _scan(scene, None, steps)
 
 
-def _scan(scene: Scene, control: Control | None, steps: int | None) -> Result:
-    """A scan outside any jit; without a control, its positions are `steps` equidistant ones or those of the default."""
-    kinds, problem = kinds_of(scene), problem_now(scene)
+def mechanics_of(scene: AbstractScene) -> type[Mechanics]:
+    """The mechanics of a scene: of the plane or of space, which is only loaded if it is needed."""
+    if isinstance(scene, Scene):
+        return Plane
+    from jaxwhisker._scan.space import Space
+
+    return Space
+
+
+def _scan(scene: AbstractScene, control: Control | None, steps: int | None = None) -> Any:
+    """A scan, outside a jit or as part of a caller's; without a control, at `steps` equidistant positions, if given."""
+    mechanics, scene = mechanics_of(scene), jax.tree.map(checks.as_float, scene)
+    problem = mechanics.problem(scene)
     if not checks.is_traced((scene, control)):
-        check_valid(scene, problem)
-        warn_of_steps(scene)
+        mechanics.check(scene, problem)
     route, status = (None, None) if control is None else route_through(control)
-    path, start, stop = path_along(problem, kinds, route, status)
+    path, start, stop = path_along(mechanics, scene, problem, route, status)
+    memory = mechanics.memory(problem, path, np.zeros(2) if route is None else route.stops)
     if route is None:
-        warn_of_no_touch(path.nodes.state.phase, path.status, scene.profile)
-    if route is None and steps is not None:
-        route = evenly_now(start, stop, steps)
-        route = route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
-    elif route is None:
-        route = route_of(default_positions(float(start), float(stop), problem.unit))
-    state, step_status, lengths = _states(scene, problem, path, route)
-    return _result(scene, problem, path, jnp.asarray(route.control), state, step_status, lengths)
+        warn_of_no_touch(mechanics.phases(path), path.status, scene)
+        route = _route_across(start, stop, steps, problem)
 
-
-def _states(
-    scene: Scene, problem: Problem, path: Path, route: Route
-) -> tuple[State, Int[Array, " steps"], Float[Array, "steps springs"]]:
-    """States, status and spring lengths of all steps."""
-    known = moves_along_x(scene) and not checks.is_traced((scene, path, route.control))
+    differences = None if checks.is_traced((scene, path, route.control)) else mechanics.differences(scene)
 
     def block(control, travel):
-        state, status, _ = solved_states_now(problem, path, control, travel)
-        by_program = None if known else spring_lengths_now(suspension(scene), bases_of(scene, state), control)
-        return state, status, by_program
+        state, status, displacement, _ = solved_states_now(mechanics, problem, path, control, travel, memory)
+        lengths = None if differences is not None else mechanics.lengths(scene, state, displacement, control)
+        return state, status, lengths
 
-    state, status, lengths = in_blocks(block, (route.control, route.travel), BLOCK)
-    if known:
-        lengths = jax.device_put(lengths_along_x(scene.support, np.asarray(state.base_x), np.asarray(route.control)))
-    return state, status, lengths
+    control = jnp.asarray(route.control)
+    if checks.is_staged((problem, path, control)):
+        state, status, lengths = block(control, jnp.asarray(route.travel))
+    else:
+        state, status, lengths = in_blocks(block, (route.control, route.travel), mechanics.block)
+    if differences is not None:
+        lengths = jax.device_put(differences(state, route.control))  # compiles nothing
+    return _result(mechanics, scene, problem, path, memory, control, state, status, lengths)
 
 
-def path_along(problem: Problem, kinds: Kinds, route: Route | None, status: Int[Array, ""] | None = None) -> "ScanPath":
-    """The path along a route, or right across the object, with the derivatives of places where contacts stick."""
+def path_along(
+    mechanics: type[Mechanics],
+    scene: AbstractScene,
+    problem: AnyProblem,
+    route: Route | None,
+    status: Int[Array, ""] | None = None,
+) -> ScanPath:
+    """The path along a route, or right across the object; no path if the status of the route is not ok."""
     stops, last = across() if route is None else (route.stops, route.last)
     if not checks.is_staged((problem, stops)):
-        prepare(problem, stops.shape[0], kinds)
-    path, start, stop = path_through(problem, kinds, stops, last if checks.is_traced(last) else np.asarray(last))
-    path = _if_ok(path, status)
-    if problem.friction_angle is not None and checks.is_traced((problem, stops)):
-        path = remembered_now(path, problem, np.zeros(2) if route is None else stops)
-    return ScanPath(path, start, stop)
+        prepare(mechanics, scene, problem, stops.shape[0])
+    found = mechanics.follow(problem, stops, last if checks.is_traced(last) else np.asarray(last))
+    path = mechanics.detected(scene, problem, found.path)
+    if status is None:
+        return found._replace(path=path)
+    good = status == Status.ok
+    count, status = jnp.where(good, path.count, 0), jnp.where(good, path.status, status)
+    return found._replace(path=path._replace(count=count, status=status))
+
+
+def _route_across(start: Float[Array, ""], stop: Float[Array, ""], steps: int | None, problem: AnyProblem) -> Route:
+    """The route of the default control, of so many steps; its default number must not depend on traced values."""
+    if checks.is_traced((problem, start)) or steps is not None:
+        route = evenly_now(start, stop, TRACED_STEPS if steps is None else steps)
+        return route if checks.is_traced(route) else jax.tree.map(np.asarray, route)
+    return route_of(default_positions(float(start), float(stop), problem.unit))
+
+
+def _result(
+    mechanics: type[Mechanics],
+    scene: Any,
+    problem: AnyProblem,
+    path: AnyPath,
+    memory: Memory,
+    control: Float[Array, " steps"],
+    state: Any,
+    status: Int[Array, " steps"],
+    lengths: Any,
+) -> Any:
+    springs = len(scene.support.springs)
+    if lengths.shape[1] != springs:
+        some = lengths if checks.is_traced(lengths) else np.asarray(lengths)
+        lengths = jnp.asarray(some[:, :springs])
+    room = room_for(path.nodes, path.count, mechanics.event_room(len(scene.whiskers)))
+    return mechanics.result(
+        **{name: getattr(state, name) for name in type(state).__dataclass_fields__},
+        control=control,
+        spring_length=lengths,
+        status=status,
+        deferred_events=lambda: events_now(mechanics, problem, path, memory, *room),
+        scene=scene,
+    )
 
 
 def default_control(scene: AbstractScene) -> np.ndarray:
@@ -184,15 +202,7 @@ def default_control(scene: AbstractScene) -> np.ndarray:
     checks.float64_mode()
     if checks.is_traced(scene):
         raise ValueError("`scene` must be concrete, got a traced one: the number of positions depends on its values.")
-    ends = tuple(map(np.asarray, across()))
-    if isinstance(scene, Scene):
-        problem = problem_now(jax.tree.map(checks.as_float, scene))
-        path = follow_path_now(problem, *ends)
-    else:
-        from jaxwhisker._scan import space_scan
-
-        problem = space_scan.problem_now(jax.tree.map(checks.as_float, scene))
-        path = space_scan.follow_path_now(problem, *ends)
+    problem, path = _path_across(scene)
     return default_positions(float(path.start), float(path.stop), problem.unit)
 
 
@@ -207,163 +217,40 @@ class Range(NamedTuple):
 
 def range_of(scene: AbstractScene) -> Range:
     """The range of the default control; prepares the programs of the scans that follow."""
-    scene, (stops, last) = jax.tree.map(checks.as_float, scene), across()
-    if isinstance(scene, Scene):
-        problem, follow = problem_now(scene), follow_path_now
-        prepare(problem, stops.size, kinds_of(scene), events=True)
-    else:
-        from jaxwhisker._scan import space_scan
-
-        problem, follow = space_scan.problem_now(scene), space_scan.follow_path_now
-        space_scan.prepare(problem, stops.size, events=True)
-    path = follow(problem, stops, np.asarray(last))
+    problem, path = _path_across(scene, prepared=True)
     return Range(problem.valid, path.start, path.stop, problem.unit.control)
 
 
-def check_valid(scene: Scene, problem: Problem) -> None:
-    """Raise an error for invalid values that the constructors do not detect."""
-    if bool(problem.valid):
-        return
-    if not bool(scene.profile.valid()):
-        _, height = scene.profile.vertex()
-        raise ValueError(
-            "`profile` must be strictly convex with its lowest point above the bases, but the lowest point of "
-            f"{scene.profile} is at height {float(height):.4g}."
-        )
-    if any(whisker.intrinsic_curvature is not None and bool(whisker.valid()) for whisker in scene.whiskers):
-        raise ValueError(
-            "`intrinsic_curvature` must let each unloaded whisker touch the object in one place only, but a whisker "
-            "would touch it in two."
-        )
-    raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
+def _path_across(scene: AbstractScene, prepared: bool = False) -> tuple[AnyProblem, ScanPath]:
+    """The problem of a scene, and its path right across the object."""
+    mechanics, scene = mechanics_of(scene), jax.tree.map(checks.as_float, scene)
+    problem, (stops, last) = mechanics.problem(scene), across()
+    if prepared:
+        prepare(mechanics, scene, problem, stops.size, events=True)
+    return problem, mechanics.follow(problem, stops, np.asarray(last))
 
 
-class ScanPath(NamedTuple):
-    """A path, and the range of the control in which whiskers touch the object."""
-
-    path: Path
-    start: Float[Array, ""]
-    stop: Float[Array, ""]
-
-
-def follow_path(
-    problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
-) -> ScanPath:
-    """March to all stops, given in the scene's units; right across the object if the first one is NaN.
-
-    There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop.
-
-    A path has no derivatives: they are attached to what is computed from it.
-    """
-    problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
-    unit, approach = problem.unit, approach_of(problem)
-    limits, whole = approach.limits(), jnp.isnan(stops[0])
-    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
-    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
-    path = march(problem, stops, jnp.asarray(last), capacity=capacity)
-    path, start, stop = approach.crop(path, whole, limits)
-    path = without_gains(problem, path)
-    return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
-
-
-def path_through(problem: Problem, kinds: Kinds, stops: Any, last: Any) -> ScanPath:
-    """The path to all stops, which ends where a contact of these kinds begins."""
-    found = follow_path_now(problem, stops, last, *sweeps_of(last))
-    return found._replace(path=detect_now(problem, found.path, kinds)) if kinds else found
-
-
-def _staged_result(
-    scene: Scene, problem: Problem, path: Path, route: Route, status: Int[Array, ""] | None = None
-) -> Result:
-    """The result along a route, as part of a caller's jit; a status of the route that is not ok replaces the path's."""
-    path, control, travel = _if_ok(path, status), jnp.asarray(route.control), jnp.asarray(route.travel)
-    if problem.friction_angle is not None:
-        path = remembered(path, problem, jnp.asarray(route.stops))
-    state, step_status, _ = solved_states(problem, path, control, travel)
-    lengths = spring_lengths(suspension(scene), bases_of(scene, state), control)
-    return _result(scene, problem, path, control, state, step_status, lengths)
-
-
-def _if_ok(path: Path, status: Int[Array, ""] | None) -> Path:
-    """The path, or no path and this status if it is not ok."""
-    if status is None:
-        return path
-    good = status == Status.ok
-    return path._replace(count=jnp.where(good, path.count, 0), status=jnp.where(good, path.status, status))
-
-
-def _scan_staged(scene: Scene, control: Control | None) -> Result:
-    if control is None:
-        return scan_across(scene, TRACED_STEPS)
-    if checks.is_traced(control):
-        route, status = traced_route(jnp.asarray(control, dtype=float))
-    else:
-        route, status = route_of(np.asarray(control, dtype=float)), None
-    problem = problem_of(scene)
-    path = path_through(problem, kinds_of(scene), jnp.asarray(route.stops), jnp.asarray(route.last)).path
-    return _staged_result(scene, problem, path, route, status)
-
-
-def _result(
-    scene: Scene,
-    problem: Problem,
-    path: Path,
-    control: Float[Array, " steps"],
-    state: State,
-    status: Int[Array, " steps"],
-    lengths: Float[Array, "steps springs"],
-) -> Result:
-    fields, n = {name: getattr(state, name) for name in State.__dataclass_fields__}, len(scene.whiskers)
-    return Result(
-        **fields,
-        control=control,
-        spring_length=_of_springs(scene, lengths),
-        status=status,
-        deferred_events=lambda: events_now(problem, path, *room_for(path.nodes, path.count, event_room(n))),
-        scene=scene,
-    )
-
-
-def _of_springs(scene: Scene, lengths: Float[Array, "steps columns"]) -> Float[Array, "steps springs"]:
-    """The lengths of the springs that the scene has."""
-    count = len(scene.support.springs)
-    if lengths.shape[1] == count or checks.is_traced(lengths):
-        return lengths[:, :count]
-    return jax.device_put(np.asarray(lengths)[:, :count])  # compiles nothing
-
-
-canonical_problem_now = Program(problem_of, tangent=by_slopes(problem_of))
-follow_path_now = Program(follow_path, frozen=True, together=LANES)
-detect_now = Program(detect, frozen=True, together=LANES)
-remembered_now = Program(remembered, tangent=remembered_tangents)
-solved_states_now = Program(solved_states, tangent=state_tangents)
-events_now = Program(events, tangent=event_tangents)
-spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
-
-
-def problem_now(scene: Scene) -> Problem:
-    """The dimensionless problem of a scene, by a program that all scenes of one canonical form share."""
-    return canonical_problem_now(canonical(scene))
-
-
-def prepare(problem: Problem, stops: int, kinds: Kinds = (), events: bool = False) -> None:
+def prepare(
+    mechanics: type[Mechanics], scene: AbstractScene, problem: AnyProblem, stops: int, events: bool = False
+) -> None:
     """Compile the programs of a scan for a problem shape at the same time; one compiler alone leaves a core idle."""
-    if not follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0)):
+    if not mechanics.is_ready(problem, stops):
         with Compilers() as pool:
-            _prepare(pool, problem, stops, kinds, events)
+            _prepare(pool, mechanics, scene, problem, stops, events)
 
 
 def prepare_scan(pool: Executor, scene: Scene, control: Control) -> None:
     """Trace the programs of a scan and its events, and compile them in the pool while the caller goes on."""
     scene, (route, _) = jax.tree.map(checks.as_float, scene), route_through(control)
-    _prepare(pool, problem_now(scene), route.stops.shape[0], kinds_of(scene), events=True)
+    mechanics = mechanics_of(scene)
+    _prepare(pool, mechanics, scene, mechanics.problem(scene), route.stops.shape[0], events=True)
 
 
-def _prepare(pool: Executor, problem: Problem, stops: int, kinds: Kinds, events: bool) -> None:
-    block = np.zeros(BLOCK)
-    path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
-    if kinds:
-        detect_now.prepare(pool, problem, path, kinds)
-    solved_states_now.prepare(pool, problem, path, block, block)
+def _prepare(
+    pool: Executor, mechanics: type[Mechanics], scene: AbstractScene, problem: AnyProblem, stops: int, events: bool
+) -> None:
+    block = np.zeros(mechanics.block)
+    path, memory = mechanics.prepare(pool, scene, problem, stops)
+    solved_states_now.prepare(pool, mechanics, problem, path, block, block, memory)
     if events:
-        events_now.prepare(pool, problem, path)
+        events_now.prepare(pool, mechanics, problem, path, memory)

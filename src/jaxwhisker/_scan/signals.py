@@ -1,9 +1,8 @@
-"""Signals: states of solved points of the path in the scene's units, and the events of a path."""
+"""Signals: states of solved points of the path in the scene's units, and the points of its events."""
 
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -21,13 +20,13 @@ from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_con
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
 from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, event_room, first_and_last, is_snap, select
-from jaxwhisker._scan.result import Events
+from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
+from jaxwhisker._scan.mechanics import EventSides
 from jaxwhisker._scan.state import State
 
 
-def signals(problem: Problem, z: Contacts, u: Scalar, state: ContactState) -> tuple[State, Scalar]:
-    """State of an equilibrium in the scene's units, and its largest residual."""
+def signals(problem: Problem, z: Contacts, u: Scalar, state: ContactState) -> tuple[State, Scalar, None]:
+    """State of an equilibrium in the scene's units, its largest residual, and None for the displacement of bases."""
     touching, bodies = state.touches, problem.bodies(u, z, state.piece)
     loaded = touching if problem.attached is None else problem.solved(state.phase)
     contacts = with_dummy_contacts(problem, z, state.phase)
@@ -43,7 +42,7 @@ def signals(problem: Problem, z: Contacts, u: Scalar, state: ContactState) -> tu
         held, couplings = problem.attached, problem.attached.couplings
         law = law_of(couplings, held.laws, held.held_by, in_frame.places)
         residual = jnp.maximum(residual, jnp.max(jnp.abs(loads_in(couplings, z) - law.load)))
-    return _state(problem, z, state, base, arc, here, loaded), residual
+    return _state(problem, z, state, base, arc, here, loaded), residual, None
 
 
 def _residual(
@@ -212,60 +211,22 @@ def _placeholder(node: Node) -> Node:
     return blank._replace(arriving=along, state=state, before=state, kind=jnp.asarray(NO_EVENT))
 
 
-class EventNodes(NamedTuple):
-    """The nodes of a path at which events happen; placeholders beyond their number."""
-
-    node: Node  # fields (events, ...)
-    previous: Node
-    filled: Bool[Array, " events"]
-    index: Int[Array, " events"]  # among all nodes
-    count: Int[Array, ""]  # of all events, also of those for which there is no room
-
-
-def event_nodes(path: Path, room: int | None = None) -> EventNodes:
-    """The events among the nodes from where the drive has reached the first position of the control.
-
-    Of more events than there is room for, the first and the last are kept.
-    """
+def nodes_at(path: Path, at: Int[Array, " events"], filled: Bool[Array, " events"]) -> tuple[Node, Node]:
+    """The nodes of events and those before them, fields (events, ...); placeholders where there is no event."""
     nodes = path.nodes
-    index = jnp.arange(nodes.kind.shape[0])
-    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
-    public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = event_room(nodes.whiskers.shape[1]) if room is None else room
-    at = first_and_last(public, size)
-    count = jnp.sum(public)
-    filled = jnp.arange(size) < count
     empty = jax.tree.map(lambda leaf: leaf[0], nodes)
-    node, previous = (
-        jax.vmap(lambda k, is_one: select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _placeholder(empty)))(
-            at - back, filled
-        )
-        for back in (0, 1)
-    )
-    return EventNodes(node, previous, filled, at, count)
+
+    def chosen(k, is_one):
+        return select(is_one, jax.tree.map(lambda leaf: leaf[k], nodes), _placeholder(empty))
+
+    node, previous = (jax.vmap(chosen)(at - back, filled) for back in (0, 1))
+    return node, previous
 
 
-def events(problem: Problem, path: Path, room: int | None = None) -> Events:
-    """The events among the nodes from where the drive has reached the first position of the control."""
-    node, previous, filled, _, count = event_nodes(path, room)
-    size = filled.shape[0]
-    points, states = jax.vmap(partial(_points_at_event, problem))(node, previous)
-    # With both sides in one batch, the rods are compiled only once.
-    both = (jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides) for sides in (points, states))
-    states, _ = jax.vmap(lambda point, state: signals(problem, point.z, point.u, state))(*both)
-    before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
-    control = points.before.u * problem.unit.control
-
-    def filled_with(leaf):
-        keep = filled if leaf.ndim == 1 else filled[:, None]
-        return jnp.where(keep, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
-
-    return Events(
-        kind=jnp.where(filled, node.kind, -1),
-        whiskers=node.whiskers & filled[:, None],
-        control=filled_with(control),
-        travel=filled_with(jax.lax.stop_gradient(node.travel) * problem.unit.control),
-        before=jax.tree.map(filled_with, before),
-        after=jax.tree.map(filled_with, after),
-        count=count,
-    )
+def sides_of_events(
+    problem: Problem, path: Path, at: Int[Array, " events"], filled: Bool[Array, " events"]
+) -> EventSides:
+    """Equilibria before and after the events at these nodes; placeholders where there is no event."""
+    points, states = jax.vmap(partial(_points_at_event, problem))(*nodes_at(path, at, filled))
+    sides = ((point.z, point.u, state) for point, state in zip(points, states, strict=True))
+    return EventSides(jnp.asarray(points.before.u), *sides)

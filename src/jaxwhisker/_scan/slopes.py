@@ -1,122 +1,144 @@
-"""Tangent rules of the programs of a scan.
+"""Programs of a scan, and the rules for their derivatives.
 
-States depend on the numbers of the dimensionless problem and on the control of their own step only, and spring lengths
-on the bases of their step: their slopes have one column for each of these, not for every step.
+States depend on the numbers of the dimensionless problem, on the control of their own step and on what contacts with
+friction remember there only: their slopes have one column for each of these, not for every step.
 """
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import along, along_each, are_few, direction_of, jacobian
-from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.path import Path
-from jaxwhisker._scan.memory import chained, with_memory
-from jaxwhisker._scan.result import Events
-from jaxwhisker._scan.signals import events
-from jaxwhisker._scan.springs import Bases, Suspension, spring_length
-from jaxwhisker._scan.state import State
-from jaxwhisker._scan.steps import Solutions, states, with_places
+from jaxwhisker._scan.events import events, public_nodes
+from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory, Solutions
+from jaxwhisker._scan.steps import solved_states, states
 
 
-def state_slopes(problem: Problem, control: Float[Array, " steps"], solutions: Solutions) -> State:
-    """Slopes of all fields with respect to the numbers of the problem and, last, those of the step.
+def _smooth(tree: Any) -> Any:
+    return eqx.filter(tree, eqx.is_inexact_array)
 
-    These are its control and, with friction, the places where its contacts stick.
+
+def _of_one(remembered: Any) -> Any:
+    """Zeros like the numbers that one row of this tree remembers."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape[1:]), _smooth(remembered))
+
+
+def _shifted(remembered: Any, shift: Any) -> Any:
+    """Rows that are all shifted alike: each state depends on one of them."""
+    return eqx.combine(jax.tree.map(lambda leaf, by: leaf + by, _smooth(remembered), shift), remembered)
+
+
+def state_slopes(
+    mechanics: type[Mechanics],
+    problem: AnyProblem,
+    control: Float[Array, " steps"],
+    solutions: Solutions,
+    remembered: Any = None,
+) -> Any:
+    """Slopes of what `states` returns by the numbers of the problem and, last, those of the step.
+
+    These are its control and what its contacts remember.
     """
-    known = solutions.state.places
 
     def function(numbers):
-        numbers, moved, shifted = numbers
-        steps = solutions
-        if known is not None:
-            places = jax.tree.map(lambda place, shift: place + shift, known, shifted)
-            steps = solutions._replace(state=solutions.state.stuck_at(places))
-        return states(eqx.combine(numbers, problem), control + moved, steps)[0]
+        numbers, moved, shift = numbers
+        rows = _shifted(remembered, shift)
+        return states(mechanics, eqx.combine(numbers, problem), control + moved, solutions, rows)
 
-    still = jax.tree.map(lambda place: jnp.zeros(place.shape[1:]), known)
-    return jacobian(function, (problem.numbers(), jnp.zeros(()), still))
+    return jacobian(function, (problem.numbers(), jnp.zeros(()), _of_one(remembered)))
 
 
-def chain_slopes(path: Path, problem: Problem, stops: Float[Array, " stops"]):
-    """Slopes of what contacts with friction remember: with respect to the numbers of the problem, then to the stops."""
+def event_slopes(
+    mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, memory: Memory = None, room: int | None = None
+) -> Any:
+    """Slopes of all fields of the events by the numbers of the problem and, last, what their node remembers."""
+
+    def function(numbers):
+        numbers, shift = numbers
+        return events(mechanics, eqx.combine(numbers, problem), path, _shifted(memory, shift), room)
+
+    return jacobian(function, (problem.numbers(), _of_one(memory)))
+
+
+def memory_slopes(
+    mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]
+) -> Memory:
+    """Slopes of what contacts with friction remember, by the numbers of the problem, then by the stops."""
 
     def function(numbers):
         numbers, stops = numbers
-        return chained(path, eqx.combine(numbers, problem), stops)
+        return mechanics.remember(eqx.combine(numbers, problem), path, stops)
 
     return jacobian(function, (problem.numbers(), stops))
 
 
-def event_slopes(problem: Problem, path: Path, room: int | None = None) -> Events:
-    """Slopes of all fields of the events with respect to the numbers of the problem."""
-    return jacobian(lambda numbers: events(eqx.combine(numbers, problem), path, room), problem.numbers())
+def remember(mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]) -> Memory:
+    """What contacts with friction remember at the nodes of a path, with derivatives."""
+    return mechanics.remember(problem, path, stops)
 
 
-def spring_slopes(
-    scene: Suspension, bases: Bases, control: Float[Array, " steps"]
-) -> Float[Array, "steps springs numbers"]:
-    """Slopes with respect to the numbers of the scene, then those of the step: x, y, angle of all bases, control."""
-
-    def at(base, u):
-        def function(numbers):
-            numbers, base, u = numbers
-            return spring_length(eqx.combine(numbers, scene), base, u)
-
-        return jacobian(function, (eqx.filter(scene, eqx.is_inexact_array), base, u))
-
-    return jax.vmap(at)(bases, control)
+def _event_places(mechanics: type[Mechanics], path: AnyPath, room: int | None = None) -> Int[Array, " events"]:
+    nodes = mechanics.event_nodes(path)
+    return public_nodes(nodes, path.count, mechanics.event_room(nodes.whiskers.shape[1]) if room is None else room)[1]
 
 
 states_now = Program(states)  # differentiated in single directions
-state_slopes_now, spring_slopes_now = Program(state_slopes), Program(spring_slopes)
-event_slopes_now, chain_slopes_now = Program(event_slopes, quick=True), Program(chain_slopes, quick=True)
+state_slopes_now = Program(state_slopes)
+event_slopes_now = Program(event_slopes, quick=True)
+memory_slopes_now = Program(memory_slopes, quick=True)
+_event_places_now = Program(_event_places, frozen=True)
+
+
+def _filled(tree: Any, dots: Any) -> Any:
+    """Tangents of all numbers of a tree, with zeros where they are None; nothing else."""
+    numbers = _smooth(tree)
+    return jax.tree.unflatten(jax.tree.structure(numbers), direction_of(numbers, dots))
 
 
 def state_tangents(args, args_dot, results):
     """The tangent rule of `solved_states`."""
-    (problem, path, control, _), (problem_dot, path_dot, control_dot, _) = args, args_dot
+    (mechanics, problem, path, control, _, memory), (_, problem_dot, _, control_dot, _, memory_dot) = args, args_dot
     numbers, (*_, solutions) = problem.numbers(), results
-    none, at = jax.tree.map(lambda _: None, solutions), solutions.node
-    solutions = with_places(solutions, path.nodes.state.places)
-    places, dots = solutions.state.places or (), path_dot.nodes.state.places or ()
-    dots = [None if dot is None else dot[at] for dot in dots]
-    if not are_few(numbers):
-        solutions_dot = none._replace(state=none.state.stuck_at(tuple(dots) if places else None))
-        return *states_now.along((problem, control, solutions), (problem_dot, control_dot, solutions_dot)), none
-    slopes, direction = state_slopes_now(problem, control, solutions), direction_of(numbers, problem_dot.numbers())
-    return along_each(slopes, direction, direction_of([control, *places], [control_dot, *dots])), None, none
-
-
-def remembered_tangents(args, args_dot, _):
-    """The tangent rule of `remembered`."""
-    path, problem, stops = args
-    _, problem_dot, stops_dot = args_dot
-    numbers = problem.numbers()
-    if not are_few(numbers):
-        return NotImplemented
-    direction = direction_of((numbers, stops), (problem_dot.numbers(), stops_dot))
-    none = jax.tree.map(lambda _: None, path)
-    return with_memory(none, *along(chain_slopes_now(path, problem, stops), direction))
-
-
-def spring_tangents(args, args_dot, _):
-    """The tangent rule of `spring_lengths`."""
-    scene, bases, control = args
-    scene_dot, bases_dot, control_dot = args_dot
-    numbers = eqx.filter(scene, eqx.is_inexact_array)
-    if not are_few(numbers):
-        return NotImplemented
-    own = direction_of([*bases, control], [*bases_dot, control_dot])
-    return along_each(spring_slopes_now(scene, bases, control), direction_of(numbers, scene_dot), own)
+    none = jax.tree.map(lambda _: None, solutions)
+    remembered = mechanics.remembered(memory, path, solutions)
+    dots = mechanics.remembered(_filled(memory, memory_dot), path, solutions)
+    dots = jax.tree.map(lambda leaf, dot: dot if eqx.is_inexact_array(leaf) else None, remembered, dots)
+    if not are_few(numbers, mechanics.most_numbers):
+        known = mechanics, problem, control, solutions, remembered
+        return *states_now.along(known, (None, problem_dot, control_dot, none, dots)), none
+    slopes = state_slopes_now(mechanics, problem, control, solutions, remembered)
+    own = [*direction_of([control], [control_dot]), *jax.tree.leaves(dots)]
+    return *along_each(slopes, direction_of(numbers, problem_dot.numbers()), own), none
 
 
 def event_tangents(args, args_dot, _):
     """The tangent rule of `events`."""
-    problem, path, *room = args
+    (mechanics, problem, path, memory, *room), (_, problem_dot, _, memory_dot, *_) = args, args_dot
     numbers = problem.numbers()
-    if not are_few(numbers) or problem.friction_angle is not None:
+    if not are_few(numbers, mechanics.most_numbers) or mechanics.at_nodes(memory, None) is NotImplemented:
         return NotImplemented
-    return along(event_slopes_now(problem, path, *room), direction_of(numbers, args_dot[0].numbers()))
+    slopes = event_slopes_now(mechanics, problem, path, memory, *room)
+    direction = direction_of(numbers, problem_dot.numbers())
+    if memory is None:
+        return along(slopes, direction)
+    at = _event_places_now(mechanics, path, *room)
+    return along_each(slopes, direction, jax.tree.leaves(mechanics.at_nodes(_filled(memory, memory_dot), at)))
+
+
+def memory_tangents(args, args_dot, _):
+    """The tangent rule of `remember`."""
+    (mechanics, problem, path, stops), (_, problem_dot, _, stops_dot) = args, args_dot
+    numbers = problem.numbers()
+    if not are_few(numbers, mechanics.most_numbers):
+        return NotImplemented
+    direction = direction_of((numbers, stops), (problem_dot.numbers(), stops_dot))
+    return along(memory_slopes_now(mechanics, problem, path, stops), direction)
+
+
+solved_states_now = Program(solved_states, tangent=state_tangents)
+events_now = Program(events, tangent=event_tangents)
+memory_now = Program(remember, tangent=memory_tangents)

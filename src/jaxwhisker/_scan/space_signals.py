@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -11,8 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import STOP, EventKind, first_and_last
-from jaxwhisker._scan.space_result import SpaceEvents, SpaceState
+from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._scan.mechanics import EventSides
+from jaxwhisker._scan.space_result import SpaceState
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Base, angle_and_arc
 from jaxwhisker._space.history import Linked
 from jaxwhisker._space.march_state import Node, SpacePath
@@ -133,60 +133,11 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def public_nodes(
-    path: SpacePath, friction: bool, room: int | None = None
-) -> tuple[Node, Bool[Array, " nodes"], Int[Array, " events"]]:
-    """Nodes of a path, which of them are events of a scan, and the indices of these; 0 without one.
-
-    Of more events than there is room for, the first and the last are kept.
-    """
-    nodes = _with_turns(path) if friction else path.nodes
-    index = jnp.arange(nodes.kind.size)
-    reached = jnp.cumsum((nodes.travel >= 0) & (index < path.count)) > 0
-    public = (nodes.kind >= 0) & reached & (index < path.count)
-    size = event_room(nodes.whiskers.shape[1]) if room is None else room
-    return nodes, public, first_and_last(public, size)
-
-
-def events(problem: SpaceProblem, path: SpacePath, links: Linked | None = None, room: int | None = None) -> SpaceEvents:
-    """The events of a path, from where the drive has reached the first position of the control.
-
-    `links` are the nodes of a path with friction, with their derivatives.
-    """
-    nodes, public, at = public_nodes(path, links is not None, room)
-    size = at.size
-    filled = jnp.arange(size) < jnp.sum(public)
-
-    def one(k, filled):
-        if links is not None:
-            return _linked_event(nodes, links, k, filled)
-        return _event(problem, jax.tree.map(lambda leaf: leaf[k], nodes), filled)
-
-    control, *sides = jax.vmap(one)(at, filled)
-    # With both sides in one batch, the rods are compiled only once.
-    both = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *sides)
-    states, *_ = jax.vmap(lambda side: signals(problem, *side))(both)
-    before, after = jax.tree.map(lambda leaf: leaf[:size], states), jax.tree.map(lambda leaf: leaf[size:], states)
-
-    def where_filled(leaf):
-        keep = jnp.reshape(filled, (-1,) + (1,) * (leaf.ndim - 1))
-        return jnp.where(keep, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
-
-    return SpaceEvents(
-        kind=jnp.where(filled, nodes.kind[at], -1),
-        whiskers=nodes.whiskers[at] & filled[:, None],
-        control=where_filled(control * problem.unit.control),
-        travel=where_filled(nodes.travel[at] * problem.unit.control),
-        before=jax.tree.map(where_filled, before),
-        after=jax.tree.map(where_filled, after),
-        count=jnp.sum(public),
-    )
-
-
-def _with_turns(path: SpacePath) -> Node:
-    """Nodes of a path with friction, in which slipping contacts stick where the drive turns."""
+def with_turns(path: SpacePath) -> Node:
+    """The nodes of a path; with friction, contacts that slip stick where the drive turns."""
     nodes = path.nodes
-    assert nodes.mode is not None
+    if nodes.mode is None:
+        return nodes
     onwards = jnp.concatenate([nodes.mode[1:], nodes.mode[-1:]])
     onwards = jnp.where((jnp.arange(nodes.kind.size) < path.count - 1)[:, None], onwards, int(Mode.slips))
     stick = (nodes.mode == Mode.slips) & (onwards == Mode.sticks) & (nodes.phase != Phase.free)
@@ -195,7 +146,7 @@ def _with_turns(path: SpacePath) -> Node:
     return nodes._replace(kind=kind, whiskers=nodes.whiskers | stick)
 
 
-class _Side(NamedTuple):
+class Side(NamedTuple):
     """An equilibrium before or after an event."""
 
     z: Contacts
@@ -204,19 +155,34 @@ class _Side(NamedTuple):
     slips: Bool[Array, " whiskers"] | None = None
 
 
-def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple[Scalar, _Side, _Side]:
+def sides_of_events(
+    problem: SpaceProblem, path: SpacePath, links: Linked | None, at: Int[Array, " events"], filled: Array
+) -> EventSides:
+    """Equilibria before and after the events at these nodes; free whiskers where there is no event."""
+    nodes = with_turns(path)
+
+    def one(k, filled):
+        if links is not None:
+            return _linked_event(nodes, links, k, filled)
+        return _event(problem, jax.tree.map(lambda leaf: leaf[k], nodes), filled)
+
+    control, before, after = jax.vmap(one)(at, filled)
+    return EventSides(jnp.asarray(control), before, after)
+
+
+def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event with friction, and the equilibria before and after it."""
     assert nodes.mode is not None
     before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.phase_before, nodes.phase))
     modes = (nodes.mode[j] == Mode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
     u, contacts = jnp.asarray(links.point.u)[k], (links.stages.z[k, -1], links.point.z[k])
     of_before, of_after = (
-        _Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True)
+        Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True)
     )
     return u, of_before, of_after
 
 
-def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _Side, _Side]:
+def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event, and the equilibria before and after it, with derivatives."""
     touch, concerned = node.kind == EventKind.touch, node.whiskers[:, None]
     released = node.kind == EventKind.release
@@ -244,4 +210,4 @@ def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, _S
     before = jnp.where(filled, node.phase_before, int(Phase.free))
     after = jnp.where(filled, node.phase, int(Phase.free))
     z_after = jnp.where(snaps, solved(problem, node.point.z, u, after), z)
-    return u, _Side(z, u, before), _Side(z_after, u, after)
+    return u, Side(z, u, before), Side(z_after, u, after)

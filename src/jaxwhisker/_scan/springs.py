@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.slopes import along_each, are_few, direction_of, jacobian
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import OnShafts, attached
 from jaxwhisker._equilibrium.couplings import given_by, length_between
@@ -251,6 +253,34 @@ def loads_of(state: State) -> tuple[Float[Array, "*steps whiskers"], ...]:
 def spring_lengths(by: Suspension, bases: Bases, control: Float[Array, " steps"]) -> Float[Array, "steps springs"]:
     """Lengths of the springs, or angles of torsion springs, at all steps, and zeros for springs without ends."""
     return jax.vmap(partial(spring_length, by))(bases, control)
+
+
+def spring_slopes(
+    by: Suspension, bases: Bases, control: Float[Array, " steps"]
+) -> Float[Array, "steps springs numbers"]:
+    """Slopes of lengths by the numbers of the scene, then those of the step: x, y, angle of all bases, control."""
+
+    def at(base, u):
+        def function(numbers):
+            numbers, base, u = numbers
+            return spring_length(eqx.combine(numbers, by), base, u)
+
+        return jacobian(function, (eqx.filter(by, eqx.is_inexact_array), base, u))
+
+    return jax.vmap(at)(bases, control)
+
+
+spring_slopes_now = Program(spring_slopes)
+
+
+def spring_tangents(args, args_dot, _):
+    """The tangent rule of `spring_lengths`."""
+    (by, bases, control), (by_dot, bases_dot, control_dot) = args, args_dot
+    numbers = eqx.filter(by, eqx.is_inexact_array)
+    if not are_few(numbers):
+        return NotImplemented
+    own = direction_of([*bases, control], [*bases_dot, control_dot])
+    return along_each(spring_slopes_now(by, bases, control), direction_of(numbers, by_dot), own)
 
 
 def lengths_along_x(support: Support, x: np.ndarray, control: np.ndarray) -> np.ndarray:

@@ -1,23 +1,17 @@
 """The steps of a scan: the equilibrium at every drive position, solved for from the path's interpolation."""
 
-from typing import NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact_state import ContactState, Places
-from jaxwhisker._equilibrium.implicit import solved
-from jaxwhisker._equilibrium.point import Contacts, Point, at_control, dot, scale_of
-from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._equilibrium.solver import solve_points
-from jaxwhisker._equilibrium.stability import is_stable
-from jaxwhisker._path.path import Path, Status
-from jaxwhisker._scan.signals import signals
-from jaxwhisker._scan.state import State
+from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
+from jaxwhisker._path.path import Status
+from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory, Solutions
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok; along x, relative to 1 + |u|
@@ -25,7 +19,7 @@ JUMP = 0.05  # a solution this far from the path's interpolation belongs to anot
 TRAVEL_NOISE = 1e-12  # relative to the length of the path: travels that differ by less are taken as equal
 
 
-def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
+def interpolate(path: AnyPath, index: Int[Array, ""], u: Scalar) -> Point:
     """The point of the path at a control between a node and the next one: cubic in arc length."""
     here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
     there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
@@ -53,36 +47,17 @@ def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     return Point(jnp.where(apart, z_at.value(t), here.point.z), u)
 
 
-class Solutions(NamedTuple):
-    """Equilibria at the steps of a scan. Steps that failed hold free whiskers."""
-
-    z: Float[Array, "*steps whiskers numbers"]
-    state: ContactState
-    status: Int[Array, "*steps"]
-    node: Int[Array, "*steps"] | None = None  # of the path, before the step; None without friction
-
-
-def _solve(
-    problem: Problem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Int[Array, " steps"]
-) -> Solutions:
-    """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
-    state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
-    guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
-    solution = solve_points(problem, state, jax.vmap(at_control)(u, guess.z), guess)
-    z = solution.point.z
-    near = jnp.max(jnp.abs(z - guess.z) / scale_of(z), axis=(1, 2)) < JUMP
-    stable = jax.vmap(lambda *own: is_stable(problem, *own))(state, solution.newton.condensed)
-    status = jnp.where(solution.converged & near, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
-    status = jnp.where(known == Status.ok, status, known)
-    accepted = (status == Status.ok)[:, None]
-    # Rejected steps are replaced by free whiskers, whose values and derivatives are finite (see `safe_placeholder`).
-    state = state.ended(~accepted & jnp.ones_like(state.free))
-    z = jnp.where(accepted[:, None], z, problem.unloaded(jnp.zeros(()))[0])
-    return Solutions(z, state, status, None if state.friction is None else index)
+def is_near(z: Contacts, guess: Contacts) -> Bool[Array, " steps"]:
+    """Whether solutions, with a leading axis of steps, belong to the branch of the path that was interpolated."""
+    return jnp.max(jnp.abs(z - guess) / scale_of(z), axis=(1, 2)) < JUMP
 
 
 def solve_steps(
-    problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
+    mechanics: type[Mechanics],
+    problem: AnyProblem,
+    path: AnyPath,
+    control: Float[Array, " steps"],
+    travel: Float[Array, " steps"],
 ) -> Solutions:
     """Solve for the equilibria at control positions that the drive passes after travelling `travel`.
 
@@ -102,43 +77,54 @@ def solve_steps(
     count = control.shape[0]
     batch = min(BATCH, count)
     padded = [jnp.pad(values, (0, -count % batch), mode="edge").reshape(-1, batch) for values in (index, u, known)]
-    solutions = jax.lax.map(lambda some: _solve(problem, path, *some), padded)
+    solutions = jax.lax.map(lambda some: mechanics.solve(problem, path, *some), padded)
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], solutions)
 
 
-def solved_states(
-    problem: Problem, path: Path, control: Float[Array, " steps"], travel: Float[Array, " steps"]
-) -> tuple[State, Int[Array, " steps"], Solutions]:
-    """States and status at control positions, with derivatives, and the solutions that they follow from, without."""
-    solutions = solve_steps(problem, path, control, travel)
-    return *states(problem, control, with_places(solutions, path.nodes.state.places)), solutions
-
-
-def with_places(solutions: Solutions, places: Places | None) -> Solutions:
-    """The solutions, with derivatives of the places where contacts stick after each node; None without friction."""
-    if places is None:
-        return solutions
-    parameter, arc_beyond = (leaf[solutions.node] for leaf in places)
-    return solutions._replace(state=solutions.state.stuck_at((parameter, arc_beyond)))
-
-
 def states(
-    problem: Problem, control: Float[Array, " steps"], solutions: Solutions
-) -> tuple[State, Int[Array, " steps"]]:
-    """States and status of solved steps, in the scene's units, with derivatives; NaN for steps that failed."""
+    mechanics: type[Mechanics],
+    problem: AnyProblem,
+    control: Float[Array, " steps"],
+    solutions: Solutions,
+    remembered: Any = None,
+) -> tuple[Any, Int[Array, " steps"], Any]:
+    """States and status of solved steps, and displacements of the bases, in the scene's units, with derivatives.
+
+    Steps that failed hold NaN. Displacements are None where they are not needed. `remembered` is what contacts with
+    friction remember at each step.
+    """
     u = control / problem.unit.control
-
-    def point(u: Scalar, z: Contacts, state: ContactState) -> Point:
-        return solved(Point(z, jax.lax.stop_gradient(u)), problem, state, at_control(u, z))
-
-    # This is outside the loop because a loop that is differentiated backwards drops the rules for second derivatives.
-    points = jax.vmap(point)(jnp.where(jnp.isfinite(u), u, 0.0), solutions.z, solutions.state)
-    batch = min(BATCH, control.shape[0])
-    values, residual = jax.lax.map(
-        lambda one: signals(problem, one[0].z, one[0].u, one[1]), (points, solutions.state), batch_size=batch
-    )
+    u = jnp.where(jnp.isfinite(u), u, 0.0)
+    values, residual, displacement = mechanics.states(problem, u, solutions, remembered)
     ok = solutions.status == Status.ok
     status = jnp.where(ok & ~(residual < RESIDUAL), Status.inexact, solutions.status)
-    ok = (status == Status.ok)[:, None]
-    values = jax.tree.map(lambda leaf: jnp.where(ok, leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0), values)
-    return values, status
+    status = mechanics.checked(problem, solutions, status)
+    values, displacement = kept((values, displacement), status == Status.ok)
+    return values, status, displacement
+
+
+def kept(values: Any, good: Bool[Array, " rows"]) -> Any:
+    """Arrays whose first axis runs over rows, with NaN, or zero for integers, in rows that are not good."""
+
+    of_rows = {1: good}  # by number of axes
+
+    def keep(leaf: Array) -> Array:
+        if leaf.ndim not in of_rows:
+            of_rows[leaf.ndim] = jnp.expand_dims(good, tuple(range(1, leaf.ndim)))
+        return jnp.where(of_rows[leaf.ndim], leaf, jnp.nan if eqx.is_inexact_array(leaf) else 0)
+
+    return jax.tree.map(keep, values)
+
+
+def solved_states(
+    mechanics: type[Mechanics],
+    problem: AnyProblem,
+    path: AnyPath,
+    control: Float[Array, " steps"],
+    travel: Float[Array, " steps"],
+    memory: Memory = None,
+) -> tuple[Any, Int[Array, " steps"], Any, Solutions]:
+    """What `states` returns at control positions, and the solutions that it follows from, without derivatives."""
+    solutions = solve_steps(mechanics, problem, path, control, travel)
+    remembered = mechanics.remembered(memory, path, solutions)
+    return *states(mechanics, problem, control, solutions, remembered), solutions

@@ -129,9 +129,9 @@ def study(
 
 def _event_room(scene: SceneLayout) -> int:
     if scene.in_space:
-        from jaxwhisker._scan import space_signals
+        from jaxwhisker._scan.space import Space
 
-        return space_signals.event_room(scene.whiskers)
+        return Space.event_room(scene.whiskers)
     return event_room(scene.whiskers)
 
 

@@ -18,7 +18,7 @@ from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.surface import AbstractSurface, Point
 from jaxwhisker._scan.quantities import unit_in_words
-from jaxwhisker._scan.space_scan import problem_now
+from jaxwhisker._scan.space import problem_now
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import bases_at_rest
 from jaxwhisker._study.parameters import parameters_of

@@ -28,9 +28,9 @@ from jaxwhisker._model.scene import Scene
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
 from jaxwhisker._scan.detect import kinds_of
+from jaxwhisker._scan.plane import path_through, problem_now
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.route import route_of
-from jaxwhisker._scan.scan import path_through, problem_now
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.state import State
 
@@ -120,7 +120,7 @@ def _leaving(problem: Problem, state: ContactState, before: Node) -> tuple[Point
 
 def _state_in_scene(problem: Problem, u: Scalar, kept: _Kept) -> State:
     """State in the scene's units; bases of free whiskers have the pose of the flow."""
-    state, _ = signals(problem, kept.z, u, kept.state)
+    state, *_ = signals(problem, kept.z, u, kept.state)
     here, free = problem.in_scene(u, kept.pose), ~problem.solved(kept.state.phase)
     return dataclasses.replace(
         state,

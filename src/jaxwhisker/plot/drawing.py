@@ -24,7 +24,7 @@ from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, Sensor, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._path.approach import Bounded, FromAfar
-from jaxwhisker._scan.scan import problem_now
+from jaxwhisker._scan.plane import problem_now
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts

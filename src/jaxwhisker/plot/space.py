@@ -24,8 +24,8 @@ from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.quantities import UnitSystem
+from jaxwhisker._scan.space import problem_now
 from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-from jaxwhisker._scan.space_scan import problem_now
 from jaxwhisker._scan.space_shapes import PADDING, SpaceShapes, shapes_in_space, space_state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem

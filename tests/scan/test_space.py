@@ -8,8 +8,9 @@ import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.space_scan import follow_path_now, problem_now, solved_states_now
-from jaxwhisker._scan.space_steps import interpolate
+from jaxwhisker._scan.slopes import solved_states_now
+from jaxwhisker._scan.space import Space, follow_path_now, problem_now
+from jaxwhisker._scan.steps import interpolate
 
 PREDICTED = 1e-3  # by the path between its nodes
 EXACT = 1e-10
@@ -24,7 +25,7 @@ def problem_and_path():
 
 def solve(problem, path, control):
     control = np.asarray(control, dtype=float)
-    return solved_states_now(problem, path, control, STOPS[0] - control, None)[-1]
+    return solved_states_now(Space, problem, path, control, STOPS[0] - control, None)[-1]
 
 
 def test_the_path_predicts_the_contacts_between_its_nodes():
@@ -47,7 +48,7 @@ def test_a_step_at_an_event_belongs_to_the_phase_that_begins():
     touch = int(np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == jw.EventKind.touch)[0])
     u = float(path.nodes.point.u[touch])
     found = solve(problem, path, [u + 1e-9, u, u - 1e-9])
-    assert list(found.phase[:, 0]) == [Phase.free, Phase.tip, Phase.tip]
+    assert list(found.state[:, 0]) == [Phase.free, Phase.tip, Phase.tip]
 
 
 def test_steps_beyond_the_end_of_a_path_have_its_status():
@@ -56,4 +57,4 @@ def test_steps_beyond_the_end_of_a_path_have_its_status():
     u = np.asarray(path.nodes.point.u)
     found = solve(problem, cut, [u[10], u[11] - 0.01])
     assert list(found.status) == [Status.ok, Status.lost]
-    assert found.phase[1, 0] == Phase.free
+    assert found.state[1, 0] == Phase.free

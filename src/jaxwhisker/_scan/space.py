@@ -1,0 +1,245 @@
+"""The mechanics of scans in space."""
+
+from concurrent.futures import Executor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.slopes import by_slopes
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point, at_control
+from jaxwhisker._model.space_scene import SpaceScene
+from jaxwhisker._model.support import Support
+from jaxwhisker._path.march import sweeps_of
+from jaxwhisker._path.path import STOP, ScanPath, Status
+from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
+from jaxwhisker._scan.slopes import memory_now
+from jaxwhisker._scan.space_result import SpaceEvents, SpaceResult
+from jaxwhisker._scan.space_signals import event_room, sides_of_events, signals, solved, with_turns
+from jaxwhisker._scan.steps import interpolate, is_near
+from jaxwhisker._space.approach import crop, limits_of
+from jaxwhisker._space.contact import ROLL
+from jaxwhisker._space.history import Followed, Linked, contacts_within, interpolated, linked, stages_before
+from jaxwhisker._space.march import capacity_of, march
+from jaxwhisker._space.march_state import Node, SpacePath
+from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
+from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, problem_in_space
+from jaxwhisker._space.shape import touches_twice, until_second_contact
+from jaxwhisker._space.slip import Mode, following
+
+BLOCK = 256  # steps computed by one call; each takes longer than in the plane
+LANES = 16  # of a batch that run together: a block takes as long as its slowest lane
+WIND_UP = 300.0  # turn of a base by the roll at the contact: a rod that magnifies errors more is `inexact`
+
+
+class Within(NamedTuple):
+    """The step of the path with friction within which an equilibrium lies; fields (steps, ...)."""
+
+    start: Point
+    stages: Point
+    before: Phases  # at the start, on arrival
+    mode: Phases
+
+
+def follow_path(
+    problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
+) -> ScanPath:
+    """March to all stops, given in the scene's units; right across the object if the first one is NaN.
+
+    There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop. A path has no
+    derivatives: they are attached to what is computed from it.
+    """
+    problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
+    stops, whole = stops / problem.unit.control, jnp.isnan(stops[0])
+    limits = limits_of(problem, stops[0])
+    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
+    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
+    path = march(problem, limits.start, stops, jnp.asarray(last), capacity=capacity)
+    path, start, stop = crop(problem, path, limits, whole)
+    path = until_second_contact(problem, path)
+    return ScanPath(path, start * problem.unit.control, stop * problem.unit.control)
+
+
+problem_now = Program(problem_in_space, tangent=by_slopes(problem_in_space))
+follow_path_now = Program(follow_path, frozen=True, together=LANES)
+spring_lengths_now = Program(Support.spring_length)
+
+
+class Space(Mechanics):
+    """Whiskers in space."""
+
+    most_numbers = 96  # a curved whisker on springs past a quadric has 82
+    block, result, events = BLOCK, SpaceResult, SpaceEvents
+    problem = staticmethod(problem_now)
+    event_room = staticmethod(event_room)
+
+    @staticmethod
+    def check(scene: SpaceScene, problem: SpaceProblem) -> None:
+        if not bool(problem.valid):
+            check_thickness(scene)
+            raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
+
+    @staticmethod
+    def follow(problem: SpaceProblem, stops: Any, last: Any) -> ScanPath:
+        return follow_path_now(problem, stops, last, *sweeps_of(last))
+
+    @staticmethod
+    def detected(scene: SpaceScene, problem: SpaceProblem, path: SpacePath) -> SpacePath:
+        return path  # `follow_path` has looked for second contacts
+
+    @staticmethod
+    def prepare(
+        pool: Executor, scene: SpaceScene, problem: SpaceProblem, stops: int
+    ) -> tuple[SpacePath, Linked | None]:
+        ends = np.zeros(stops), np.asarray(0)
+        path = follow_path_now.prepare(pool, problem, *ends).path
+        return path, None if problem.friction is None else memory_now.prepare(pool, Space, problem, path, ends[0])
+
+    @staticmethod
+    def is_ready(problem: SpaceProblem, stops: int) -> bool:
+        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
+
+    @staticmethod
+    def phases(path: SpacePath) -> Int[Array, "nodes whiskers"]:
+        return path.nodes.phase
+
+    @staticmethod
+    def memory(problem: SpaceProblem, path: SpacePath, stops: Any) -> Linked | None:
+        return None if problem.friction is None else memory_now(Space, problem, path, stops)
+
+    @staticmethod
+    def remember(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> Linked:
+        return linked(problem, path, stops)
+
+    @staticmethod
+    def remembered(memory: Linked | None, path: SpacePath, solutions: Solutions) -> Within | None:
+        if memory is None or path.nodes.mode is None:
+            return None
+        node, end = solutions.node, jnp.minimum(solutions.node + 1, path.count - 1)
+        start, before = jax.tree.map(lambda leaf: leaf[node], (memory.point, path.nodes.phase_before))
+        stages, mode = jax.tree.map(lambda leaf: leaf[end], (memory.stages, path.nodes.mode))
+        return Within(start, stages, before, mode)
+
+    @staticmethod
+    def solve(problem, path, index, u, known) -> Solutions:
+        index = jnp.maximum(index, 0)  # of a path without nodes
+        z, phase = path.nodes.point.z[index], path.nodes.phase[index]
+        free = Solutions(z, phase, known, index)
+        solve = _solve if problem.friction is None else _solve_with_friction
+        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: solve(problem, path, index, u, known), lambda: free)
+
+    @staticmethod
+    def states(problem, u, solutions, remembered):
+        def one(u: Scalar, z: Contacts, phase: Phases):
+            return signals(problem, solved(problem, z, u, phase), u, phase)
+
+        def one_with_friction(u: Scalar, found: Solutions, at: Within):
+            within = interpolated(at.start, at.stages, at.before, found.state, u)
+            within = jnp.where((found.state != Phase.free)[:, None], within, found.z)
+            z = contacts_within(Followed(problem, u, found.state, at.mode, within), found.z)
+            return signals(problem, z, u, found.state, at.mode == Mode.slips)
+
+        if remembered is None:
+            return jax.vmap(one)(u, solutions.z, solutions.state)
+        return jax.vmap(one_with_friction)(u, solutions, remembered)
+
+    @staticmethod
+    def checked(problem, solutions, status):
+        if not problem.may_touch_twice:
+            return status
+        twice = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))(solutions.z, solutions.state)
+        return jnp.where((status == Status.ok) & twice, Status.second_contact, status)
+
+    @staticmethod
+    def lengths(scene: SpaceScene, state: Any, displacement: Any, control: Any) -> Float[Array, "steps springs"]:
+        none = jnp.zeros((control.shape[0], 0))
+        return none if displacement is None else spring_lengths_now(scene.support, displacement)
+
+    @staticmethod
+    def differences(scene: SpaceScene) -> None:
+        return None
+
+    @staticmethod
+    def signals(problem, *side):
+        return signals(problem, *side)
+
+    @staticmethod
+    def event_nodes(path: SpacePath) -> Node:
+        return with_turns(path)
+
+    @staticmethod
+    def at_events(problem, path, memory, at, filled) -> EventSides:
+        return sides_of_events(problem, path, memory, at, filled)
+
+    @staticmethod
+    def event_controls(problem, path, memory, at, filled):
+        control, *_ = sides_of_events(problem, path, memory, at, filled)
+        nodes = path.nodes
+        return control, (nodes.phase_before[at] != Phase.free) & (nodes.phase[at] == Phase.free)
+
+    @staticmethod
+    def at_nodes(memory: Linked | None, at: Any) -> Any:
+        return None if memory is None or at is None else jax.tree.map(lambda leaf: leaf[at], memory)
+
+
+def _solve(
+    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+) -> Solutions:
+    """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
+    phase, z = path.nodes.phase[index], path.nodes.point.z[index]
+    guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
+    guess = guess._replace(z=jnp.where((phase != Phase.free)[:, :, None], guess.z, z))
+    equations = jax.vmap(plain)(phase, jax.vmap(at_control)(u, guess.z))
+    solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
+    return _accepted(problem, path, index, solution, guess, phase, known)
+
+
+def _accepted(problem, path, index, solution, guess, phase, known) -> Solutions:
+    z = solution.end.z
+    good = solution.converged & is_near(z, guess.z)
+    if problem.rolls:
+        # Curved rods with little torsional stiffness wind up: errors grow exponentially from either end to the other.
+        turn = jnp.abs(solution.newton.at.pose_by[..., ROLL])
+        good &= jnp.all((turn < WIND_UP) | (phase == Phase.free)[:, :, None], axis=(1, 2))
+    status = jnp.where(good, Status.ok, Status.inexact)
+    status = jnp.where(known == Status.ok, status, known)
+    accepted = (status == Status.ok)[:, None]
+    phase = jnp.where(accepted, phase, int(Phase.free))
+    z = jnp.where(accepted[:, None], z, path.nodes.point.z[0])
+    return Solutions(z, phase, status, index)
+
+
+def _solve_with_friction(
+    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+) -> Solutions:
+    """The same with friction: the contacts are those within the steps of the path."""
+    nodes, modes, friction = path.nodes, path.nodes.mode, problem.friction
+    assert modes is not None and friction is not None
+    # The last node ends a step.
+    index = index - ((index == path.count - 1) & (nodes.kind[index] == STOP) & (index > 0))
+
+    def at(index, u):
+        end = jnp.minimum(index + 1, path.count - 1)
+        start, before, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase_before, nodes.phase))
+        guess = interpolated(start, stages_before(nodes, end), before, phase, u)
+        motion = following(guess, friction, modes[end])
+        return Point(guess, u), Equations(phase[None], at_control(u, guess), None, motion)
+
+    guess, equations = jax.vmap(at)(index, u)
+    solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
+    return _accepted(problem, path, index, solution, guess, nodes.phase[index], known)
+
+
+def check_thickness(scene: SpaceScene) -> None:
+    """Raise an error if the object is too thin for the whiskers of a scene."""
+    length = float(scene.whiskers[0].length)
+    if float(scene.surface.thickness()) <= THINNEST * length:
+        raise ValueError(
+            f"`surface` must be thicker than about {2 * THINNEST:.0e} of a whisker's length ({length:g}), got "
+            f"{scene.surface}."
+        )
