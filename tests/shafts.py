@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxwhisker._equilibrium.shaft import Line, Shaft
+from jaxwhisker._equilibrium.shaft import Shaft, ShaftLine
 
 
 def points(x, y, phi, curvature, s):
@@ -11,9 +11,9 @@ def points(x, y, phi, curvature, s):
     return x + chord * np.cos(turn), y + chord * np.sin(turn), phi + curvature * s
 
 
-def line(x, y, phi, cell) -> Line:
+def line(x, y, phi, cell) -> ShaftLine:
     """A line of points with these directions."""
-    return Line(*map(np.asarray, (x, y, np.cos(phi), np.sin(phi), cell)))  # pyright: ignore[reportArgumentType]
+    return ShaftLine(*map(np.asarray, (x, y, np.cos(phi), np.sin(phi), cell)))  # pyright: ignore[reportArgumentType]
 
 
 def shaft(x, y, phi, curvature, to_base, to_tip, parameter=0.0) -> Shaft:

@@ -4,7 +4,7 @@ import inspect
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.points import PointStatus
-from jaxwhisker._scan.dataset import Slip
+from jaxwhisker._scan.dataset import SlipDirection
 
 
 def test_statuses_and_kinds_are_printed_as_their_names():
@@ -14,7 +14,7 @@ def test_statuses_and_kinds_are_printed_as_their_names():
         (jw.EventKind.snap_off, "snap_off"),
         (jw.Phase.tip, "tip"),
         (PointStatus.missing, "missing"),
-        (Slip.sticks, "sticks"),
+        (SlipDirection.sticks, "sticks"),
     ):
         assert str(value) == f"{value}" == name and f"{value:>16}" == name.rjust(16)
         assert repr(value) == f"<{type(value).__name__}.{name}: {int(value)}>"

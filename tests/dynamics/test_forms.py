@@ -11,7 +11,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._dynamics.elements import NODES
 from jaxwhisker._dynamics.forms import Forms, Masses, condensed, forms_of, quadratic_of, reaction
-from jaxwhisker._dynamics.line import Equilibrium, Line
+from jaxwhisker._dynamics.line import Centreline, Equilibrium
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 
 EXACT = 1e-10
@@ -26,7 +26,7 @@ def forms(phase, height, push):
     """Forms of an upright whisker, which may touch a circle at this height, and in which a force pushes down."""
     none = jnp.zeros((2, NODES))
     ends = jnp.zeros(2), jnp.cumsum(jnp.asarray(LENGTHS)), jnp.zeros(2), jnp.ones(2)
-    line = Line(jnp.asarray(LENGTHS), none, none + 1, none, none - push, none + 1, ends, None, jnp.asarray(0))
+    line = Centreline(jnp.asarray(LENGTHS), none, none + 1, none, none - push, none + 1, ends, None, jnp.asarray(0))
     body: Any = WhiskerAtObject(jnp.ones(()), jnp.ones(()), jw.Circle(height - RADIUS, RADIUS), jw.Shooting())
     zero = jnp.zeros(())
     contact = {"contact_force": zero + FORCE, "contact_slope": zero + jnp.pi / 2, "contact_arc": height}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxwhisker._dynamics.gap import Gap
-from jaxwhisker._dynamics.held import Ends, Pulls, SprungShafts
+from jaxwhisker._dynamics.held import Pulls, SpringPositions, SprungShafts
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching
 from jaxwhisker._dynamics.moving import Network, Rods, System
@@ -142,7 +142,7 @@ def test_springs_on_shafts_give_back_what_they_store(moves):
     stored, elastic, damped = 1.5 * (0.4**2 - 0.3**2), 3 * (first + longer / 2 - 0.2), 0.9
     at = jnp.zeros((1, 1, 3))
     moved = at.at[..., 0].add(longer if moves == "whisker" else 0.0)
-    ends = Ends(at, at, none + first), Ends(moved, at, none + first + longer)
+    ends = SpringPositions(at, at, none + first), SpringPositions(moved, at, none + first + longer)
     pulls = Pulls(*ends, none + elastic, none + damped, at.at[..., 0].set(-elastic - damped), at)
     ledger = jax.jit(with_pulls)(system(held=held), moving(), STORED, pulls)
     work = stored + damped * longer if moves == "drive" else 0.0

@@ -15,7 +15,7 @@ import jaxwhisker as jw
 from jaxwhisker._dynamics.elements import POINTS
 from jaxwhisker._dynamics.line import DeadLoads, Equilibrium, ends_of, line_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
-from jaxwhisker._scan.applied_loads import Line as LineLoads
+from jaxwhisker._scan.applied_loads import ScaledLineLoad
 
 EXACT = 1e-9  # of integrated rods
 STIFFNESS, LENGTH, ARC, PLACE = 1.3, 1.1, 0.8, 0.35
@@ -109,7 +109,7 @@ def test_a_reaction_that_is_not_known_spoils_its_own_line(lines):
 
 def test_a_distributed_load_acts_between_its_ends():
     low, high, across, along = 0.2, 0.6, 0.4, -0.7
-    spread = LineLoads(jw.LineLoad(across, along), jnp.asarray(low), jnp.asarray(high), 1.0, 1.0)
+    spread = ScaledLineLoad(jw.LineLoad(across, along), jnp.asarray(low), jnp.asarray(high), 1.0, 1.0)
     at = Equilibrium(*map(jnp.asarray, (*BASE, *REACTION, 0.0, 0.0, ARC, 0.0, 0.0)), phase=jnp.asarray(Phase.free))
     loads = DeadLoads(*[jnp.zeros(0)] * 4, lines=(spread,))
     ends = ends_of(body(), at, loads, None)

@@ -12,10 +12,10 @@ from jaxwhisker._base import checks
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, angles_of, nodes_of
 from jaxwhisker._dynamics.moving import Damping, system_of
 from jaxwhisker._dynamics.time_step import (
+    ContactMode,
     Imposed,
-    Mode,
-    Step,
-    Unknowns,
+    StepUnknowns,
+    TimeStep,
     _mode,
     every,
     load_at,
@@ -34,7 +34,7 @@ RNG = np.random.default_rng(0)
 Q, BASE, DRIVE = RNG.normal(size=(2, 2, N)), RNG.normal(size=(2, 2, 3)), RNG.normal(size=(2, 3))
 VELOCITY, SPIN = RNG.normal(size=(2, 2, N + 6)), RNG.normal(size=2)
 NOTHING = Imposed(jnp.zeros(2, bool), jnp.zeros(2, bool))
-FREE = Mode(jnp.zeros(2, bool), jnp.zeros(2, int), NOTHING)
+FREE = ContactMode(jnp.zeros(2, bool), jnp.zeros(2, int), NOTHING)
 
 
 @eqx.filter_jit
@@ -71,8 +71,8 @@ def test_residuals_and_reactions_do_the_work_of_the_change_of_energy(system, air
         own = eqx.tree_at(lambda s: (s.mass_damping, s.stiffness_damping), system, (air, material))
         z = jnp.array([0.3, 0.4])
         old = moving(own, jnp.asarray(Q[0]), jnp.asarray(BASE[0]), jnp.asarray(VELOCITY), jnp.asarray(SPIN), z)
-        x, drive = Unknowns(jnp.asarray(Q[1]), jnp.zeros((2, 0)), jnp.array([0.1, 0.7])), jnp.asarray(DRIVE[1])
-        rows, trial = every(Step(own, old, drive, H), FREE, x)
+        x, drive = StepUnknowns(jnp.asarray(Q[1]), jnp.zeros((2, 0)), jnp.array([0.1, 0.7])), jnp.asarray(DRIVE[1])
+        rows, trial = every(TimeStep(own, old, drive, H), FREE, x)
         base = own.bases(x.z, drive)
         at = nodes_of(own, base, trial.angle)
         velocity = 2 * (at - old.rod.at) / H - old.rod.velocity
@@ -95,7 +95,7 @@ def test_springs_are_in_balance_where_their_loads_move_them(system):
         old = moving(
             system, jnp.asarray(Q[0]), jnp.asarray(BASE[0]), jnp.asarray(VELOCITY), jnp.asarray(SPIN), z - H * rate / 2
         )
-        return spring_rows(Step(system, old, jnp.asarray(DRIVE[1]), H), z + H * rate / 2, load)
+        return spring_rows(TimeStep(system, old, jnp.asarray(DRIVE[1]), H), z + H * rate / 2, load)
 
     z, rate = np.array([0.25, 0.6]), np.array([0.4, -0.3])
     strain = z - [0.2, 0.5]
@@ -112,11 +112,11 @@ def test_loads_on_bases_are_opposite_to_reactions_in_the_frame_of_the_drive():
 
 
 def test_unknowns_are_found_again_in_one_array(system):
-    x = Unknowns(jnp.asarray(Q[0]), jnp.zeros((2, 0)), jnp.array([0.3, 0.4]))
+    x = StepUnknowns(jnp.asarray(Q[0]), jnp.zeros((2, 0)), jnp.array([0.3, 0.4]))
     old = moving(system, x.q, jnp.asarray(BASE[0]), jnp.asarray(VELOCITY), jnp.asarray(SPIN), x.z)
     assert eqx.tree_equal(unknowns_of(system, x.flat()), x)
     assert eqx.tree_equal(unknowns_at(old, system), x)
-    step = Step(system, old, jnp.asarray(DRIVE[1]), H)
+    step = TimeStep(system, old, jnp.asarray(DRIVE[1]), H)
 
     @jax.jit
     def both():

@@ -15,7 +15,7 @@ from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._equilibrium.problem import AlongX, InPlane
 from jaxwhisker._equilibrium.stability import load_slopes
 from jaxwhisker._equilibrium.stance import Stance
-from jaxwhisker._equilibrium.touch import Touch
+from jaxwhisker._equilibrium.touch import TouchAlongX
 
 ROUNDING = 1e-13  # the same numbers by other operations
 TOUCHED = 1e-9  # first touches in the plane are searched, and exact to 1e-10 of a length
@@ -91,7 +91,7 @@ def test_a_base_in_the_plane_that_yields_along_x_only_has_the_equations_of_a_bas
 
 def test_only_free_whiskers_out_of_reach_change_their_side(in_plane):
     none = jnp.zeros(3)
-    away = Touch(none, none, none, none, none > 0)
+    away = TouchAlongX(none, none, none, none, none > 0)
     stance = Stance(jnp.array([-1.0, -1.0, 1.0]), away, away)
     side = in_plane.updated_side(jnp.array([True, False, True]), jnp.ones(3), stance)
     assert side.tolist() == [-1.0, 1.0, 1.0]

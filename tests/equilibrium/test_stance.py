@@ -3,13 +3,13 @@
 import jax.numpy as jnp
 
 from jaxwhisker._equilibrium.stance import Stance, of_object
-from jaxwhisker._equilibrium.touch import Touch
+from jaxwhisker._equilibrium.touch import TouchAlongX
 
 
 def at(x, reaches=True):
     """First touches of three whiskers with their bases at x; or of each object, with a leading axis."""
     x = jnp.asarray(x) + jnp.zeros(3)
-    return Touch(0 * x, x, 0 * x, 0 * x, jnp.full(x.shape, reaches))
+    return TouchAlongX(0 * x, x, 0 * x, 0 * x, jnp.full(x.shape, reaches))
 
 
 X = jnp.array([1.0, 0.125, -1.0])

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.inverse_held import HeldObservation
-from jaxwhisker._inverse.nearest import Phase, rotated
+from jaxwhisker._inverse.nearest import PhaseCandidate, rotated
 from jaxwhisker._inverse.points import PointStatus
 from jaxwhisker._scan.loaded_rod import LoadedRod, loaded_rod
 from scenes import all_ok, cone
@@ -89,8 +89,10 @@ def test_a_state_is_that_of_the_rod_past_its_springs():
     @jax.jit
     def states(loads):
         known = equations(AXIAL)
-        tip = observed(known, jnp.zeros(3)).state(jnp.append(loads, 0.6), Phase(jnp.asarray(True), jnp.zeros(())))
-        tangent = Phase(jnp.asarray(False), jnp.asarray(np.pi))
+        tip = observed(known, jnp.zeros(3)).state(
+            jnp.append(loads, 0.6), PhaseCandidate(jnp.asarray(True), jnp.zeros(()))
+        )
+        tangent = PhaseCandidate(jnp.asarray(False), jnp.asarray(np.pi))
         return tip, observed(known, jnp.zeros(3), lean=jnp.asarray(lean)).state(jnp.append(loads, 0.2), tangent)
 
     loads = np.array([1.1, -0.4, 0.5])  # on the springs between drive and base

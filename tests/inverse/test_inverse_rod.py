@@ -5,15 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._inverse.inverse_rod import Observation
-from jaxwhisker._inverse.nearest import Phase, nearest_state
+from jaxwhisker._inverse.inverse_rod import PlaneObservation
+from jaxwhisker._inverse.nearest import PhaseCandidate, nearest_state
 
 STATE = 1e-10
 DIFFERENCE = 1e-6
 
 
 def observation(reaction, weight=1.0, side=1.0, angle=0.0, twist=0.0):
-    return Observation(
+    return PlaneObservation(
         jnp.asarray(reaction),
         weight * jnp.ones(3),
         jnp.asarray(angle),
@@ -32,7 +32,7 @@ def estimate(observed):
 
 @jax.jit
 def reaction_of(z, tip, observed):
-    return observed.state(z, Phase(tip, jnp.zeros(()))).reaction
+    return observed.state(z, PhaseCandidate(tip, jnp.zeros(()))).reaction
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

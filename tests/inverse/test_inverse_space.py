@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.inverse_space import Base, SpaceObservation, Turning, nearest_zero
-from jaxwhisker._inverse.nearest import Phase
+from jaxwhisker._inverse.inverse_space import BaseFrame, BaseTurning, SpaceObservation, nearest_zero
+from jaxwhisker._inverse.nearest import PhaseCandidate
 from jaxwhisker._space.section import space_section
 from random_space import Cone
 from space_laws import UPRIGHT, Plain, State, shaft
@@ -23,7 +23,9 @@ CONE = jw.Whisker(bending_stiffness=Cone(0.5), lateral_curvature=0.3, intrinsic_
 
 
 def observed(friction, own):
-    base = Base(jnp.asarray(DRIVE.as_matrix()), jnp.asarray(UPRIGHT), Turning(jnp.zeros(3), jnp.diag(SOFT)), own)
+    base = BaseFrame(
+        jnp.asarray(DRIVE.as_matrix()), jnp.asarray(UPRIGHT), BaseTurning(jnp.zeros(3), jnp.diag(SOFT)), own
+    )
     section = space_section(CONE, 1.0, 1.0)
     one = jnp.ones(())
     return SpaceObservation(section, one, base, jnp.zeros(6), jnp.eye(6), jnp.zeros((1, 6)), one, friction)
@@ -46,7 +48,7 @@ def solved(y, phase):
 
 @pytest.mark.parametrize(("tip", "y"), [(True, (0.8, 0.7, 0.4, 0.0)), (False, (4.0, 2.0, -0.2, 0.4))])
 def test_states_satisfy_the_laws_of_rods_and_springs(tip, y):
-    state, turn = solved(jnp.array(y), Phase(jnp.asarray(tip), jnp.zeros(())))
+    state, turn = solved(jnp.array(y), PhaseCandidate(jnp.asarray(tip), jnp.zeros(())))
     assert np.max(np.abs(state.conditions)) < EXACT and np.linalg.norm(turn) > 0.01
     values, turn = np.array(state.values), np.array(turn)
     contact, arc, force, tangent, base = values[:3], values[3], values[4:7], values[7:10], values[10:].reshape(3, 3)
@@ -75,7 +77,7 @@ def test_states_satisfy_the_laws_of_rods_and_springs(tip, y):
 
 def test_reactions_in_the_frame_of_the_base():
     y = jnp.array([2.0, 0.5, 0.1, 0.1, -0.2, 0.05, 0.2])
-    phase = Phase(jnp.asarray(False), jnp.zeros(()))
+    phase = PhaseCandidate(jnp.asarray(False), jnp.zeros(()))
     scene, own = (observed(True, frame).state(y, phase) for frame in (False, True))
     base = np.asarray(own.values[10:]).reshape(3, 3)
     np.testing.assert_allclose(base @ own.reaction[:3], scene.reaction[:3], atol=EXACT)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxwhisker._inverse.nearest import Phase, State, nearest_state, rotated
+from jaxwhisker._inverse.nearest import PhaseCandidate, WhiskerState, nearest_state, rotated
 
 EXACT = 1e-12
 MATRIX = np.array([[1.0, 0.5], [0.2, 1.0], [-0.3, 0.4]])
@@ -24,7 +24,7 @@ class Linear(NamedTuple):
     weight: Float[Array, "3"]
     bound: Float[Array, "1"]
 
-    phases = Phase(np.array([True, False]), np.zeros(2))
+    phases = PhaseCandidate(np.array([True, False]), np.zeros(2))
     conditions = 0
     steps = 7
     handicaps = np.zeros(2)
@@ -33,7 +33,7 @@ class Linear(NamedTuple):
     def state(self, y, phase):
         matrix = jnp.where(phase.tip, MATRIX, MATRIX[::-1])
         bound = CONDITION @ y - self.bound
-        return State(matrix @ y, bound[: self.conditions], CONTACT @ y)
+        return WhiskerState(matrix @ y, bound[: self.conditions], CONTACT @ y)
 
     def guesses(self):
         return jnp.stack([START, START])

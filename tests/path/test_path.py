@@ -12,7 +12,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, Moving, Seen, margin_rates, margins
+from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, PathDirection, Seen, margin_rates, margins
 from jaxwhisker._path.path import EventKind, Status, first_case, select
 
 DIFFERENCE = 1e-9  # margins are linear in point and pose: central differences are exact to rounding
@@ -97,7 +97,7 @@ def test_rates_are_derivatives_of_the_margins(problem, at, state):
     def moved(by):
         return at(state, Point(POINT.z + by * direction.z, POINT.u + by * direction.u), POSE + by * pose_rate)
 
-    rates = margin_rates(Moving(problem, state, state.free, POINT.z, direction.z, pose_rate))
+    rates = margin_rates(PathDirection(problem, state, state.free, POINT.z, direction.z, pose_rate))
     ahead, behind = moved(step), moved(-step)
     for number in (TOUCH, RELEASE, PHASE):
         later, earlier, here = (np.asarray(margins[number]) for margins in (ahead, behind, at(state, POINT, POSE)))

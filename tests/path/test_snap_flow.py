@@ -18,7 +18,7 @@ from jaxwhisker._equilibrium.newton import Apart
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Stance
-from jaxwhisker._equilibrium.touch import Touch
+from jaxwhisker._equilibrium.touch import TouchAlongX
 from jaxwhisker._path import snap_flow
 from jaxwhisker._path.snap_flow import FIRST_CHANGE, ITERATIONS, SHORTEST
 
@@ -68,7 +68,9 @@ def test_shorter_steps_are_exhausted_at_the_shortest(begun):
 
 def test_contacts_at_first_touch():
     right, left = (
-        Touch(jnp.full(2, parameter), jnp.full(2, x), jnp.array([slack, -slack]), jnp.full(2, side), jnp.ones(2, bool))
+        TouchAlongX(
+            jnp.full(2, parameter), jnp.full(2, x), jnp.array([slack, -slack]), jnp.full(2, side), jnp.ones(2, bool)
+        )
         for parameter, x, slack, side in ((1.1, 0.9, 0.1, 1.0), (-1.2, -0.9, 0.2, -1.0))
     )
     z, phase, side = snap_flow.touching(Stance(jnp.zeros(2), right, left), jnp.array([1.0, -1.0]))

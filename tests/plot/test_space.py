@@ -28,7 +28,7 @@ def whiskers_of(ax):
 
 
 def arrows_of(ax):
-    return [patch for patch in ax.patches if type(patch).__name__ in ("FancyArrowPatch", "_Arrow")]
+    return [patch for patch in ax.patches if type(patch).__name__ in ("FancyArrowPatch", "_SpaceArrow")]
 
 
 @pytest.mark.parametrize(("view", "axes"), [("xy", "xy"), ("xz", "xz"), ("yz", "zy")])

@@ -9,8 +9,8 @@ from scipy.integrate import quad
 
 from jaxwhisker._scan.panels import (
     POINTS,
-    Ends,
     Panel,
+    PanelEnds,
     coefficients,
     integral_to,
     panels_of,
@@ -86,7 +86,9 @@ def test_a_panel_in_which_the_drive_stands_still_is_not_used():
     travel = jnp.array([0.0, 1.0, 1.0 + 5e-12, 2.0, 2.0])
     none = jnp.zeros(5, int)
     slopes = jnp.arange(10.0).reshape(5, 2)
-    ends = Ends(jnp.array([0.5, -0.5, -0.5, 0.5, 0.5]), travel, slopes, none, none, none, none[0], jnp.asarray(1e-12))
+    ends = PanelEnds(
+        jnp.array([0.5, -0.5, -0.5, 0.5, 0.5]), travel, slopes, none, none, none, none[0], jnp.asarray(1e-12)
+    )
     some = panels_of(ends)
     assert some.used.tolist() == [True, False, True, False]
     np.testing.assert_array_equal(some.start, ends.control[:-1])

@@ -11,7 +11,7 @@ import rod_in_space
 import jaxwhisker as jw
 from engine import dimensionless
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._space.contact import GRAZING, LIGHT, Body, Traction, base_of, frame_of, on_surface, spread
+from jaxwhisker._space.contact import GRAZING, LIGHT, SpaceWhisker, Traction, base_of, frame_of, on_surface, spread
 
 EXACT = 1e-10  # of the rod, which is integrated to 1e-12
 CENTRE, RADIUS = np.array([0.0, 1.3, 0.2]), 1.0
@@ -26,7 +26,7 @@ def problem(**whisker):
 
 def body(of):
     """The only whisker of a problem."""
-    return jax.tree.map(lambda leaf: leaf[0], Body(of.length, of.bending_stiffness, of.section, of.mount))
+    return jax.tree.map(lambda leaf: leaf[0], SpaceWhisker(of.length, of.bending_stiffness, of.section, of.mount))
 
 
 STRAIGHT, CURVED = problem(), problem(intrinsic_curvature=0.7, twist=0.4, torsion_ratio=0.8)

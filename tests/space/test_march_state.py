@@ -8,7 +8,7 @@ from engine import dimensionless
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import NO_EVENT
 from jaxwhisker._space.march import _start
-from jaxwhisker._space.march_state import Task, node_at
+from jaxwhisker._space.march_state import SpaceTask, node_at
 
 SCENE = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
 
@@ -19,7 +19,7 @@ def started():
 
 def test_a_march_stops_with_its_status():
     stopped = started().stopped(jw.Status.lost)
-    assert int(stopped.task) == Task.done and int(stopped.status) == jw.Status.lost
+    assert int(stopped.task) == SpaceTask.done and int(stopped.status) == jw.Status.lost
 
 
 def test_a_plain_node_counts_the_travel_of_the_drive_since_the_first_stop():

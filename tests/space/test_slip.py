@@ -13,9 +13,9 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, Traction
 from jaxwhisker._space.slip import (
-    Mode,
-    Motion,
-    Slip,
+    ContactMotion,
+    SlipMode,
+    SlipState,
     _law,
     as_felt,
     defect_of,
@@ -36,7 +36,7 @@ from jaxwhisker._space.slip import (
 ROUNDING = 1e-12
 BALL = jw.Sphere(1.0, (0.0, 0.0, 0.0))
 FLAT = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]  # a contact on top of the ball: point and direction
-SLIPS, STICKS = (jnp.array([int(mode)]) for mode in (Mode.slips, Mode.sticks))
+SLIPS, STICKS = (jnp.array([int(mode)]) for mode in (SlipMode.slips, SlipMode.sticks))
 TIP, SHAFT = (jnp.array([int(phase)]) for phase in (Phase.tip, Phase.tangential))
 
 
@@ -45,7 +45,7 @@ def contact(force=1.0, slack=-0.1, point=(0.0, 1.0, 0.0), ahead=(1.0, 0.0, 0.0),
 
 
 def state(mode=SLIPS, begins=False):
-    return Slip(mode, jnp.asarray(0), jnp.asarray(False), jnp.array([begins]), jnp.asarray(0))
+    return SlipState(mode, jnp.asarray(0), jnp.asarray(False), jnp.array([begins]), jnp.asarray(0))
 
 
 def test_radau_has_its_published_coefficients():
@@ -72,7 +72,7 @@ def test_a_scene_without_friction_needs_one_stage():
 
 
 def flowing(friction, moves, traction, force=2.0, time=0.5):
-    motion = Motion(contact(), Traction(friction, jnp.asarray(True)), jnp.asarray(time))
+    motion = ContactMotion(contact(), Traction(friction, jnp.asarray(True)), jnp.asarray(time))
     mode = None if friction is None else SLIPS[0]
     given = None if friction is None else jnp.zeros(2)
     return _law(motion, mode, given, jnp.asarray(moves), jnp.asarray(traction), jnp.asarray(force))
@@ -150,19 +150,19 @@ def test_guesses_turn_to_both_sides_and_end_with_sticking():
         slip, traction = next_guess(slip, traction)
         angles.append(float(jnp.arctan2(traction[0, 1], traction[0, 0])))
     np.testing.assert_allclose(angles, [np.pi / 3, -np.pi / 3, 0.0], atol=ROUNDING)
-    assert int(slip.mode[0]) == Mode.sticks
+    assert int(slip.mode[0]) == SlipMode.sticks
     slip, _ = next_guess(slip, traction)
-    assert int(slip.mode[0]) == Mode.slips
+    assert int(slip.mode[0]) == SlipMode.slips
     assert int(slip.guess) == 0
 
 
 def test_where_the_drive_turns_all_stick_and_a_new_contact_slips():
     no, yes = jnp.array([False]), jnp.array([True])
-    assert int(slip_after(state(), no, jnp.asarray(True), no).mode[0]) == Mode.sticks
-    assert int(slip_after(state(), yes, jnp.asarray(False), no).mode[0]) == Mode.sticks
-    assert int(slip_after(state(STICKS), yes, jnp.asarray(False), no).mode[0]) == Mode.slips
+    assert int(slip_after(state(), no, jnp.asarray(True), no).mode[0]) == SlipMode.sticks
+    assert int(slip_after(state(), yes, jnp.asarray(False), no).mode[0]) == SlipMode.sticks
+    assert int(slip_after(state(STICKS), yes, jnp.asarray(False), no).mode[0]) == SlipMode.slips
     new = slip_after(state(STICKS), no, jnp.asarray(False), yes)
-    assert int(new.mode[0]) == Mode.slips
+    assert int(new.mode[0]) == SlipMode.slips
     assert bool(new.begins[0])
 
 
@@ -170,10 +170,10 @@ def test_at_a_corner_contacts_do_not_slip_with_their_traction():
     problem = dimensionless(jw.SpaceScene(jw.Whisker(), BALL, friction=0.2))
     here = Point(contact(traction=(1.0, 0.0)), jnp.asarray(0.0))
     rate = jnp.zeros((1, 11)).at[0, POINT].set(jnp.array([0.5, 0.0, 0.0])).at[0, TRACTION].set(jnp.array([0.4, 0.0]))
-    for sign, mode, after in ((1, SLIPS, Mode.sticks), (-1, SLIPS, Mode.slips)):
+    for sign, mode, after in ((1, SLIPS, SlipMode.sticks), (-1, SLIPS, SlipMode.slips)):
         slip, _ = slip_at_corner(problem, state(mode), TIP, here, Point(sign * rate, jnp.asarray(1.0)))
         assert int(slip.mode[0]) == after
-    for sign, after in ((1, Mode.slips), (-1, Mode.sticks)):
+    for sign, after in ((1, SlipMode.slips), (-1, SlipMode.sticks)):
         slip, _ = slip_at_corner(problem, state(STICKS), TIP, here, Point(sign * rate, jnp.asarray(1.0)))
         assert int(slip.mode[0]) == after
 

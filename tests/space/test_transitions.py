@@ -7,7 +7,7 @@ import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.free import Nearest
-from jaxwhisker._space.stance import Stance
+from jaxwhisker._space.stance import SpaceStance
 from jaxwhisker._space.transitions import (
     AT_STOP,
     GRIP,
@@ -27,7 +27,7 @@ def margins(phase, force=0.0, slack=0.0, distance=1.0, grip=None, onwards=0.5):
     z = jnp.zeros((1, UNKNOWNS)).at[0, FORCE].set(force).at[0, SLACK].set(slack)
     nearest, good = Nearest(jnp.array([distance]), z, jnp.array([TIP])), jnp.asarray(True)
     one, grip = jnp.asarray(1.0), None if grip is None else jnp.array([grip])
-    stance = Stance(jnp.array([phase == FREE]), nearest, jnp.array([distance]), one, good, one, good, grip, good)
+    stance = SpaceStance(jnp.array([phase == FREE]), nearest, jnp.array([distance]), one, good, one, good, grip, good)
     return np.asarray(margins_of(jnp.array([phase]), z, stance, jnp.asarray(0.25), jnp.asarray(onwards)))[:, 0]
 
 

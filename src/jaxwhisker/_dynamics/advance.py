@@ -16,11 +16,11 @@ from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes
 from jaxwhisker._dynamics.moving import System
 from jaxwhisker._dynamics.stop import stopped
 from jaxwhisker._dynamics.time_step import (
+    ContactMode,
     Forces,
     Imposed,
-    Mode,
-    Step,
-    Unknowns,
+    StepUnknowns,
+    TimeStep,
     every,
     load_of,
     pulls_on,
@@ -41,7 +41,7 @@ CROSSES = 2e-3  # distance of a node beyond the tangent at the closest point at 
 MOST_BENT = 2.0  # largest change of a coefficient of the curvature in one iteration
 
 
-def _newton(step: Step, x: Unknowns, imposed: Imposed) -> tuple[Unknowns, Mode]:
+def _newton(step: TimeStep, x: StepUnknowns, imposed: Imposed) -> tuple[StepUnknowns, ContactMode]:
     """The change of the unknowns in one iteration of Newton's method, and the mode in which it was computed.
 
     The inner coordinates of each whisker are eliminated first; contacts and bases remain.
@@ -66,7 +66,7 @@ def _newton(step: Step, x: Unknowns, imposed: Imposed) -> tuple[Unknowns, Mode]:
     if not free:
         contact = -solved_each(outer[:, :c, :c], outer[:, :c, -1])
         q = -inner[..., -1] - jnp.sum(inner[..., :-1] * contact[:, None], axis=-1)
-        return Unknowns(q, contact, x.z[:0]), mode
+        return StepUnknowns(q, contact, x.z[:0]), mode
     assert system.network is not None
     whiskers = x.q.shape[0]
     moves = jax.jacfwd(lambda z: system.bases(z, drive))(x.z)  # (whiskers, 3, free)
@@ -91,7 +91,7 @@ def _newton(step: Step, x: Unknowns, imposed: Imposed) -> tuple[Unknowns, Mode]:
     contact, z = change[:size].reshape(whiskers, c), change[size:]
     outside = jnp.concatenate([contact, moves @ z], axis=1)
     q = -inner[..., -1] - jnp.sum(inner[..., :-1] * outside[:, None], axis=-1)
-    return Unknowns(q, contact, z), mode
+    return StepUnknowns(q, contact, z), mode
 
 
 def solved_each(matrix: Float[Array, "whiskers c c"], right: Float[Array, "whiskers c"]) -> Float[Array, "whiskers c"]:
@@ -115,7 +115,7 @@ def _eliminated(rows: Float[Array, "n columns"]) -> Float[Array, "n rest"]:
     return rows[:, n:]
 
 
-def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
+def _iterate(step: TimeStep, guess: Array) -> tuple[Array, ContactMode, Bool[Array, ""]]:
     """Newton's method with an active set: the unknowns, the mode of all contacts, and whether it has converged."""
     system, c = step.system, step.system.contact_unknowns
     before = unknowns_at(step.old, system).flat()
@@ -137,7 +137,7 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
         size = jnp.max(jnp.abs(jnp.concatenate([change.q, moved], axis=1)), axis=1)
         size = jnp.maximum(size, jnp.max(jnp.abs(change.z), initial=0.0))
         share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
-        x = Unknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
+        x = StepUnknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
         if c > 0:  # forces are not counted, but their signs are, and whether whiskers without them are inside
             wrong = mode.touches & ((x.contact[:, 2] < 0) | free)
             size = jnp.where(wrong, jnp.maximum(size, 2 * CLOSE), size)
@@ -147,18 +147,18 @@ def _iterate(step: Step, guess: Array) -> tuple[Array, Mode, Bool[Array, ""]]:
         _, _, size, k = carry
         return ~jnp.all(size <= CLOSE) & ~jnp.any(jnp.isnan(size)) & (k < MOST_ITERATIONS)
 
-    start = guess, Mode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape, jnp.inf), 0
+    start = guess, ContactMode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape, jnp.inf), 0
     flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
     return flat, mode, jnp.all(size <= CLOSE)
 
 
-def _equations(flat: Array, known: tuple[Step, Mode]) -> Array:
+def _equations(flat: Array, known: tuple[TimeStep, ContactMode]) -> Array:
     return residual(*known, flat)
 
 
 def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -> tuple[Moving, Forces]:
     """The state one time step later, with the drive at this pose and moving at this rate."""
-    step, before = Step(system, old, drive, h), unknowns_at(old, system).flat()
+    step, before = TimeStep(system, old, drive, h), unknowns_at(old, system).flat()
     guess = before + 2 * old.change[0] - old.change[1]
     flat, mode, solved = _iterate(*jax.lax.stop_gradient((step, guess)))
     flat = solution_of(_equations, flat, (step, mode))
@@ -201,7 +201,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     return new, Forces(reaction, normal, drag)
 
 
-def _with_closest(system: System, moving: Moving, mode: Mode) -> Moving:
+def _with_closest(system: System, moving: Moving, mode: ContactMode) -> Moving:
     """The state with the closest points where the step has not found them: of held contacts and of free whiskers."""
     rod, at = moving.rod, moving.rod.touching
     assert at is not None
@@ -272,4 +272,4 @@ def _where(
 def _extrapolated(system: System, change: Array) -> Array:
     """The change without that of the contact forces, which are not extrapolated."""
     x = unknowns_of(system, change)
-    return Unknowns(x.q, x.contact * jnp.array([1.0, 1.0, 0.0, 0.0][: x.contact.shape[1]]), x.z).flat()
+    return StepUnknowns(x.q, x.contact * jnp.array([1.0, 1.0, 0.0, 0.0][: x.contact.shape[1]]), x.z).flat()

@@ -80,7 +80,7 @@ class Sweep(eqx.Module):
         return jnp.where(travelled < jnp.abs(way), self.start + jnp.sign(way) * travelled, self.stop)
 
 
-class Samples(eqx.Module):
+class SampledControl(eqx.Module):
     """Control through equidistant samples, the first at time 0 and the last at the end: smooth cubics."""
 
     values: Float[Array, " samples"]
@@ -113,4 +113,4 @@ def drive_of(drive: Any, duration: Scalar) -> Callable[[Scalar], Scalar]:
     checks.vector("drive", drive)
     if jnp.shape(drive)[0] < 2:
         checks.fail("drive", "a function of time, a number, or at least two samples", repr(drive))
-    return Samples(jnp.asarray(drive, dtype=float), duration)
+    return SampledControl(jnp.asarray(drive, dtype=float), duration)

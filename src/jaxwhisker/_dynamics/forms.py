@@ -32,7 +32,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import ORDER, WEIGHTS, Fields, bending, fields, quadratic
-from jaxwhisker._dynamics.line import Equilibrium, Line
+from jaxwhisker._dynamics.line import Centreline, Equilibrium
 from jaxwhisker._dynamics.object import Bend, bend_of_each
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
 from jaxwhisker._equilibrium.shaft_springs import Laws, ShaftSprings, end_of, stretched, tension_of
@@ -60,7 +60,7 @@ class Forms(NamedTuple):
     fields: Fields
 
 
-def forms_of(body: WhiskerAtObject, at: Equilibrium, line: Line, masses: Masses) -> Forms:
+def forms_of(body: WhiskerAtObject, at: Equilibrium, line: Centreline, masses: Masses) -> Forms:
     """The quadratic forms of one whisker."""
     contact = _contact_of(body, at, line)
     moves = fields(line.lengths, line.cos, line.sin)
@@ -116,7 +116,7 @@ def _spring_stiffness(spring: ShaftSprings, laws: Laws, state: tuple, drive: Fra
     return jax.jacfwd(pull)(jnp.zeros(3))
 
 
-class _Contact(NamedTuple):
+class _ContactGeometry(NamedTuple):
     free: Bool[Array, ""]
     tip: Bool[Array, ""]
     bend: Bend  # of the object
@@ -126,7 +126,7 @@ class _Contact(NamedTuple):
     rests: Bool[Array, ""]  # a straight shaft lies on a straight face
 
 
-def _contact_of(body: WhiskerAtObject, at: Equilibrium, line: Line) -> _Contact:
+def _contact_of(body: WhiskerAtObject, at: Equilibrium, line: Centreline) -> _ContactGeometry:
     free, tip = at.phase == Phase.free, at.phase == Phase.tip
     number = jnp.where(free, 0, 1 if at.contact_object is None else at.contact_object)
     bend = bend_of_each(body.profile, number, (at.contact_x, at.contact_y, at.contact_slope))
@@ -135,7 +135,7 @@ def _contact_of(body: WhiskerAtObject, at: Equilibrium, line: Line) -> _Contact:
     curvature = body.section.curvature(at.contact_arc) if isinstance(body.section, Section) else 0.0
     k = -same * curvature
     rests = ~free & ~tip & (bend.turn + bend.speed * k <= 0)
-    return _Contact(free, tip, bend, same, k, tip & (bend.speed <= 0), rests)
+    return _ContactGeometry(free, tip, bend, same, k, tip & (bend.speed <= 0), rests)
 
 
 def _at_rest(moves: Fields, rests: Bool[Array, ""], contact: Scalar) -> Fields:
@@ -146,7 +146,7 @@ def _at_rest(moves: Fields, rests: Bool[Array, ""], contact: Scalar) -> Fields:
 
 
 def _kept(
-    body: WhiskerAtObject, at: Equilibrium, contact: _Contact, moves: Fields, element: Scalar
+    body: WhiskerAtObject, at: Equilibrium, contact: _ContactGeometry, moves: Fields, element: Scalar
 ) -> tuple[Float[Array, "n n"], Float[Array, "constraints n"]]:
     """Stiffness of the contact, and its constraints."""
     bend, k = contact.bend, contact.curvature
@@ -176,7 +176,7 @@ def _product(a: Float[Array, " n"], b: Float[Array, " n"]) -> Float[Array, "n n"
     return a[:, None] * b + b[:, None] * a
 
 
-class Condensed(NamedTuple):
+class CondensedWhisker(NamedTuple):
     """A whisker whose base is held, and how it follows its base."""
 
     flexibility: Float[Array, "inner inner"]  # of the coordinates of its elements
@@ -184,7 +184,7 @@ class Condensed(NamedTuple):
     held: Float[Array, "3 3"]  # stiffness of the base
 
 
-def condensed(forms: Forms) -> Condensed:
+def condensed(forms: Forms) -> CondensedWhisker:
     """Condense a whisker to its base, with its contact kept."""
     inner = forms.mass.shape[0] - 3
     own, coupled = forms.stiffness[:inner, :inner], forms.stiffness[:inner, inner:]
@@ -195,7 +195,7 @@ def condensed(forms: Forms) -> Condensed:
     inverted = inverse(saddle)
     follows = -inverted @ border
     held = forms.stiffness[inner:, inner:] + border.T @ follows
-    return Condensed(inverted[:inner, :inner], follows[:inner], (held + held.T) / 2)
+    return CondensedWhisker(inverted[:inner, :inner], follows[:inner], (held + held.T) / 2)
 
 
 def reaction(forms: Forms, mode: Float[Array, " n"], rate: Scalar) -> Float[Array, "3"]:

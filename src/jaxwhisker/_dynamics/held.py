@@ -47,7 +47,7 @@ class SprungShafts(NamedTuple):
     rest: PerPlace  # angle of the unloaded whisker there to its base
 
 
-class Ends(NamedTuple):
+class SpringPositions(NamedTuple):
     """The springs of one whisker at one time; or those of all whiskers, stacked."""
 
     at: Float[Array, "*whiskers places 3"]  # position of their ends, and angle of the whisker to the upright there
@@ -58,8 +58,8 @@ class Ends(NamedTuple):
 class Pulls(NamedTuple):
     """What the springs of one whisker do in a step; or those of all whiskers, stacked."""
 
-    first: Ends
-    last: Ends
+    first: SpringPositions
+    last: SpringPositions
     elastic: PerPlace  # mean tension
     damped: PerPlace  # what damping adds to it
     load: Float[Array, "*whiskers places 3"]  # mean force along x and y and moment, on the whisker
@@ -113,7 +113,7 @@ def _row(tissue: Tissue) -> tuple[ShaftSprings, Float[Array, "places 3"]]:
     return springs, jnp.stack([zero + tissue.cos, zero + tissue.sin, zero], axis=-1)
 
 
-def ends_of(held: SprungShafts, length: Scalar, q: Array, base: Array, angle: Array, drive: Array) -> Ends:
+def ends_of(held: SprungShafts, length: Scalar, q: Array, base: Array, angle: Array, drive: Array) -> SpringPositions:
     """The springs of one whisker with these coordinates, base and angles at its Gauss points."""
     below, (x, y, turn) = jnp.minimum(held.springs.at, 0.0), base
     at = jnp.stack(
@@ -129,7 +129,7 @@ def ends_of(held: SprungShafts, length: Scalar, q: Array, base: Array, angle: Ar
     apart = here - jax.vmap(anchor_of)(held.springs)
     distance = jnp.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + SHORTEST**2)
     along = jnp.sum(held.direction * apart, axis=-1)
-    return Ends(jnp.asarray(at), apart, jnp.where(held.springs.axis == AXIAL, distance, along))
+    return SpringPositions(jnp.asarray(at), apart, jnp.where(held.springs.axis == AXIAL, distance, along))
 
 
 def tensions(held: SprungShafts, laws: Laws, length: Float[Array, " places"]) -> Float[Array, " places"]:
@@ -164,8 +164,8 @@ def mean_tensions(held: SprungShafts, laws: Laws, first: Array, last: Array, ahe
 def pulls_of(
     held: SprungShafts,
     laws: Laws,
-    first: Ends,
-    last: Ends,
+    first: SpringPositions,
+    last: SpringPositions,
     turns: tuple[Float[Array, "2"], Float[Array, "2"]],
     ahead: Scalar,
     lag: Scalar,

@@ -12,8 +12,7 @@ from jaxwhisker._dynamics.elements import POINTS, node_arcs
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of
 from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past, to_next
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.applied_loads import Line as LineLoads
-from jaxwhisker._scan.applied_loads import density_of
+from jaxwhisker._scan.applied_loads import ScaledLineLoad, density_of
 
 Tree = TypeVar("Tree")
 AT = np.concatenate([[0.0], POINTS, [1.0]])
@@ -44,10 +43,10 @@ class DeadLoads(NamedTuple):
     force_x: Float[Array, "*batch loads"]
     force_y: Float[Array, "*batch loads"]
     moment: Float[Array, "*batch loads"]
-    lines: tuple[LineLoads, ...]
+    lines: tuple[ScaledLineLoad, ...]
 
 
-class Line(NamedTuple):
+class Centreline(NamedTuple):
     """The line of a whisker on its elements."""
 
     lengths: Float[Array, " elements"]
@@ -61,7 +60,7 @@ class Line(NamedTuple):
     contact: Scalar  # number of the element that ends at the contact
 
 
-class Ends(NamedTuple):
+class ElementEnds(NamedTuple):
     """Arc lengths at which the elements of a whisker end, and the numbers of elements that end at certain places."""
 
     arcs: Float[Array, " elements"]
@@ -74,7 +73,7 @@ class Ends(NamedTuple):
         return jax.tree.map(lambda leaf: jnp.zeros(self.arcs.size, leaf.dtype).at[elements].set(leaf), tree)
 
 
-def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> Ends:
+def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> ElementEnds:
     """Where elements end: at loads, at springs on the shaft, at the contact, at the tip and at breaks.
 
     A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
@@ -97,7 +96,7 @@ def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, bre
     order = jnp.argsort(arcs)
     rank = jnp.argsort(order)
     of_loads, of_springs = jnp.split(rank[number], [at_loads.size])
-    return Ends(arcs[order], rank[contact], of_loads, of_springs)
+    return ElementEnds(arcs[order], rank[contact], of_loads, of_springs)
 
 
 def _middle(body: WhiskerAtObject, start: Scalar, stop: Scalar) -> Scalar:
@@ -109,7 +108,7 @@ def _middle(body: WhiskerAtObject, start: Scalar, stop: Scalar) -> Scalar:
     return start + (stop - start) * rod.graded(jnp.asarray(0.5), stiffness(start), stiffness(stop))
 
 
-def line_of(body: WhiskerAtObject, at: Equilibrium, ends: Ends, loads: DeadLoads | None) -> Line:
+def line_of(body: WhiskerAtObject, at: Equilibrium, ends: ElementEnds, loads: DeadLoads | None) -> Centreline:
     """The line of a whisker, from its base to its tip."""
     material, (lengths, arcs) = material_of(body), node_arcs(ends.arcs)
     start = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
@@ -150,12 +149,12 @@ def line_of(body: WhiskerAtObject, at: Equilibrium, ends: Ends, loads: DeadLoads
         stiffness = jax.vmap(jax.vmap(material.stiffness))(arcs)
     else:
         stiffness = jnp.full(arcs.shape, body.bending_stiffness)
-    return Line(lengths, cos, sin, force_x, force_y, stiffness, states, springs, ends.contact)
+    return Centreline(lengths, cos, sin, force_x, force_y, stiffness, states, springs, ends.contact)
 
 
 def _through(
     body: WhiskerAtObject,
-    lines: tuple[LineLoads, ...],
+    lines: tuple[ScaledLineLoad, ...],
     state: rod.RodState,
     load: rod.Load,
     first: Scalar,

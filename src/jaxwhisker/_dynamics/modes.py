@@ -63,7 +63,7 @@ class Modes(eqx.Module):
         return self.omega / (2 * jnp.pi)
 
 
-class _Damping(eqx.Module):
+class _ModalDamping(eqx.Module):
     mass: Scalar
     stiffness: Scalar
     base: tuple[Scalar, Scalar, Scalar]
@@ -141,7 +141,7 @@ def modes(
     return _of_scene(_scene_of(at, support), count, damping, points)
 
 
-def _checked_damping(mass: Any, stiffness: Any, base: Any) -> _Damping:
+def _checked_damping(mass: Any, stiffness: Any, base: Any) -> _ModalDamping:
     checks.number("mass_damping", mass, non_negative=True)
     checks.number("stiffness_damping", stiffness, non_negative=True)
     each = base if isinstance(base, tuple) else (base, 0.0, 0.0)
@@ -149,7 +149,7 @@ def _checked_damping(mass: Any, stiffness: Any, base: Any) -> _Damping:
         checks.fail("base_damping", "a number, or a tuple of three", repr(base))
     for one in each:
         checks.number("base_damping", one, non_negative=True)
-    return jax.tree.map(checks.as_float, _Damping(mass, stiffness, each))
+    return jax.tree.map(checks.as_float, _ModalDamping(mass, stiffness, each))
 
 
 def _scene_of(at: Whisker | Sensor | Scene, support: Support) -> Scene:
@@ -177,12 +177,12 @@ def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
     return (problem_of if checks.is_staged(scene) else problem_now)(scene), scene.whiskers
 
 
-def _of_scene(scene: Scene, count: int, damping: _Damping, points: int) -> Modes:
+def _of_scene(scene: Scene, count: int, damping: _ModalDamping, points: int) -> Modes:
     problem, whiskers = _prepared(scene)
     return _unloaded_modes(problem, whiskers, damping, count, points)
 
 
-def _of_deflection(bent: Deflection, count: int, damping: _Damping, points: int) -> Modes:
+def _of_deflection(bent: Deflection, count: int, damping: _ModalDamping, points: int) -> Modes:
     if any(isinstance(load, PointForce) and load.follower for load in bent.loads):
         checks.fail("at", "a Deflection under dead loads: a follower force has no potential", "a follower force")
     problem, whiskers = _prepared(_scene_of(bent.whisker, bent.support))
@@ -192,7 +192,7 @@ def _of_deflection(bent: Deflection, count: int, damping: _Damping, points: int)
     )
 
 
-def _of_result(result: Result, step: int | None, count: int, damping: _Damping, points: int) -> Modes:
+def _of_result(result: Result, step: int | None, count: int, damping: _ModalDamping, points: int) -> Modes:
     if np.ndim(result.control) != 1:
         checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
     problem, whiskers = _prepared(result.scene)
@@ -225,7 +225,7 @@ def _modes_of(
     status: Int[Array, ""],
     u: Scalar,
     loads: DeadLoads | None,
-    damping: _Damping,
+    damping: _ModalDamping,
     count: int,
     points: int,
 ) -> Modes:
@@ -280,7 +280,7 @@ def _result_modes(
     at: Equilibrium,
     status: Int[Array, " steps"],
     control: Float[Array, " steps"],
-    damping: _Damping,
+    damping: _ModalDamping,
     count: int,
     points: int,
 ) -> Modes:
@@ -294,7 +294,7 @@ def _result_modes(
 
 @Program
 def _unloaded_modes(
-    problem: Problem, whiskers: tuple[Whisker, ...], damping: _Damping, count: int, points: int
+    problem: Problem, whiskers: tuple[Whisker, ...], damping: _ModalDamping, count: int, points: int
 ) -> Modes:
     u = jnp.asarray(0.0 if problem.ends is None else problem.ends[0])
     z, _ = problem.unloaded(u)
@@ -311,7 +311,7 @@ def _deflection_modes(
     base: tuple[Scalar, ...],
     status: Int[Array, ""],
     loads: tuple,
-    damping: _Damping,
+    damping: _ModalDamping,
     count: int,
     points: int,
 ) -> Modes:

@@ -48,7 +48,7 @@ class Imposed(NamedTuple):
     held: Bool[Array, "*whiskers"]  # at its old point of the whisker or with the old normal of an edge; no friction
 
 
-class Mode(NamedTuple):
+class ContactMode(NamedTuple):
     """Which equations contacts satisfy at the end of a step."""
 
     touches: Bool[Array, "*whiskers"]
@@ -74,15 +74,15 @@ class Forces(NamedTuple):
     drag: PerWhisker
 
 
-class Trial(NamedTuple):
+class StepTrial(NamedTuple):
     """The end of a step of one whisker for trial values of its unknowns, and what follows from it."""
 
     angle: Array
     gap: Gap | None
-    mode: Mode
+    mode: ContactMode
 
 
-class Step(NamedTuple):
+class TimeStep(NamedTuple):
     """What the equations of a step depend on."""
 
     system: System
@@ -104,8 +104,8 @@ class Rows(NamedTuple):
 
 
 def rows_of(
-    step: Step, rods: Rods, old: Rod, mode: Mode | Imposed, q: Array, contact: Array, base: Array
-) -> tuple[Rows, Trial]:
+    step: TimeStep, rods: Rods, old: Rod, mode: ContactMode | Imposed, q: Array, contact: Array, base: Array
+) -> tuple[Rows, StepTrial]:
     """Residuals of one whisker in a mode; or in that which trial values suggest, but for what is imposed."""
     system, h, ahead = step.system, step.h, step.old.ahead
     shapes = system.basis
@@ -134,7 +134,7 @@ def rows_of(
         torque -= contact[2] * across
         push -= contact[2] * normal
         slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
-        mode = mode if isinstance(mode, Mode) else _mode(system, contact, above, slipped, mode)
+        mode = mode if isinstance(mode, ContactMode) else _mode(system, contact, above, slipped, mode)
         end = jnp.where(mode.imposed.held, _held(system.profile, contact, old.touching), gap.end)
         rows = jnp.stack([end, gap.foot, jnp.where(mode.acts, above, contact[2])])
         if system.friction is not None:
@@ -142,14 +142,14 @@ def rows_of(
             push -= contact[3] * tangent
             dragged = contact[3] + system.friction * mode.slip * contact[2]
             rows = jnp.append(rows, jnp.where(mode.sticks, slipped, dragged))
-    mode = mode if isinstance(mode, Mode) else Mode(jnp.asarray(False), jnp.asarray(0), mode)
+    mode = mode if isinstance(mode, ContactMode) else ContactMode(jnp.asarray(False), jnp.asarray(0), mode)
     bending = old.q + (ahead + system.stiffness_damping / h) * (q - old.q)
     bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
     twist = jnp.sum(torque) + rods.inertia / (ahead * h) * ((base[2] - old.base[2]) / h - old.spin)
     if pulls is not None and rods.held is not None:
         bent -= pulls.load[:, 2] @ rods.held.bends
         twist -= jnp.sum(pulls.about_base[:, 2])
-    return Rows(bent, rows, jnp.append(push, twist)), Trial(angle, gap, mode)
+    return Rows(bent, rows, jnp.append(push, twist)), StepTrial(angle, gap, mode)
 
 
 def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
@@ -158,7 +158,7 @@ def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
     return arc if piece is None else jnp.where(piece % 2 == 0, contact[1] - old.parameter, arc)
 
 
-def pulls_on(step: Step, rods: Rods, old: Rod, q: Array, base: Array, angle: Array) -> Pulls | None:
+def pulls_on(step: TimeStep, rods: Rods, old: Rod, q: Array, base: Array, angle: Array) -> Pulls | None:
     """What the springs on the shaft of one whisker do in a step with this end; None without any."""
     if rods.held is None:
         return None
@@ -170,17 +170,17 @@ def pulls_on(step: Step, rods: Rods, old: Rod, q: Array, base: Array, angle: Arr
     return pulls_of(rods.held, step.system.laws, first, last, turns, step.old.ahead, lag)
 
 
-def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed: Imposed) -> Mode:
+def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed: Imposed) -> ContactMode:
     """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
     touches = contact[2] > gap + jnp.where(imposed.free, SLIPS_IN, 0.0)
     if system.friction is None:
-        return Mode(touches, jnp.asarray(0), imposed)
+        return ContactMode(touches, jnp.asarray(0), imposed)
     drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
     slips = (jnp.abs(drag) >= limit) & ~imposed.held
-    return Mode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed)
+    return ContactMode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed)
 
 
-class Unknowns(NamedTuple):
+class StepUnknowns(NamedTuple):
     """What a step solves for."""
 
     q: Float[Array, "whiskers n"]
@@ -192,22 +192,22 @@ class Unknowns(NamedTuple):
         return jnp.concatenate([jnp.ravel(part) for part in self])
 
 
-def unknowns_of(system: System, flat: Float[Array, " unknowns"]) -> Unknowns:
+def unknowns_of(system: System, flat: Float[Array, " unknowns"]) -> StepUnknowns:
     """The unknowns in one array, by name."""
     whiskers, n, c = system.rods.length.shape[0], system.n, system.contact_unknowns
     q, contact, z = jnp.split(flat, [whiskers * n, whiskers * (n + c)])
-    return Unknowns(q.reshape(whiskers, n), contact.reshape(whiskers, c), z)
+    return StepUnknowns(q.reshape(whiskers, n), contact.reshape(whiskers, c), z)
 
 
-def unknowns_at(moving: Moving, system: System) -> Unknowns:
+def unknowns_at(moving: Moving, system: System) -> StepUnknowns:
     """The unknowns of a state."""
     at, c = moving.rod.touching, system.contact_unknowns
     if at is None:
-        return Unknowns(moving.rod.q, jnp.zeros((moving.rod.q.shape[0], 0)), moving.z)
-    return Unknowns(moving.rod.q, jnp.stack([at.arc, at.parameter, at.force, at.drag][:c], axis=-1), moving.z)
+        return StepUnknowns(moving.rod.q, jnp.zeros((moving.rod.q.shape[0], 0)), moving.z)
+    return StepUnknowns(moving.rod.q, jnp.stack([at.arc, at.parameter, at.force, at.drag][:c], axis=-1), moving.z)
 
 
-def every(step: Step, mode: Mode, x: Unknowns) -> tuple[Rows, Trial]:
+def every(step: TimeStep, mode: ContactMode, x: StepUnknowns) -> tuple[Rows, StepTrial]:
     """Residuals and reactions of all whiskers."""
 
     def one(rods, old, mode, q, contact, base):
@@ -217,7 +217,7 @@ def every(step: Step, mode: Mode, x: Unknowns) -> tuple[Rows, Trial]:
     return jax.vmap(one)(step.system.rods, step.old.rod, mode, x.q, x.contact, bases)
 
 
-def load_of(step: Step, reaction: Array) -> Float[Array, " free"]:
+def load_of(step: TimeStep, reaction: Array) -> Float[Array, " free"]:
     """Load on the free coordinates of the bases, in the mean frame of the drive."""
     return load_at(reaction, jnp.stack([step.old.drive[2], step.drive[2]]), step.system.free)
 
@@ -230,7 +230,7 @@ def load_at(reaction: Array, angles: Float[Array, " angles"], free: tuple[int, .
     return jnp.ravel(load)[jnp.array(free, int)]
 
 
-def spring_rows(step: Step, z: Array, load: Array) -> Float[Array, " free"]:
+def spring_rows(step: TimeStep, z: Array, load: Array) -> Float[Array, " free"]:
     """Residuals of the springs between the bases."""
     system, old, h = step.system, step.old, step.h
     if system.network is None:
@@ -242,9 +242,9 @@ def spring_rows(step: Step, z: Array, load: Array) -> Float[Array, " free"]:
     return strain - system.network.compliance @ (load - system.network.damping @ rate)
 
 
-def residual(step: Step, mode: Mode, flat: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
+def residual(step: TimeStep, mode: ContactMode, flat: Float[Array, " unknowns"]) -> Float[Array, " unknowns"]:
     """All residuals of a step."""
     x = unknowns_of(step.system, flat)
     rows, _ = every(step, mode, x)
     springs = spring_rows(step, x.z, load_of(step, rows.reaction))
-    return Unknowns(rows.bending, rows.contact, springs).flat()
+    return StepUnknowns(rows.bending, rows.contact, springs).flat()

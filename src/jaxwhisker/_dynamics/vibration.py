@@ -16,8 +16,8 @@ from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.eigen import slowest
 from jaxwhisker._dynamics.elements import interpolated, node_arcs
-from jaxwhisker._dynamics.forms import Condensed, Forms, Masses, condensed, forms_of, quadratic_of, reaction
-from jaxwhisker._dynamics.line import DeadLoads, Ends, Equilibrium, ends_of, line_of
+from jaxwhisker._dynamics.forms import CondensedWhisker, Forms, Masses, condensed, forms_of, quadratic_of, reaction
+from jaxwhisker._dynamics.line import DeadLoads, ElementEnds, Equilibrium, ends_of, line_of
 from jaxwhisker._equilibrium.contact import of_each
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.whisker import Whisker, with_equal_breaks
@@ -100,7 +100,7 @@ def _breaks(problem: Problem, whiskers: tuple[Whisker, ...]) -> Float[Array, "wh
     return None if each[0] is None else jnp.stack([jnp.asarray(own) for own in each]) / problem.unit.length
 
 
-def _forms(body, at: Equilibrium, ends: Ends, loads: DeadLoads | None, masses: Masses) -> Forms:
+def _forms(body, at: Equilibrium, ends: ElementEnds, loads: DeadLoads | None, masses: Masses) -> Forms:
     return forms_of(body, at, line_of(body, at, ends, loads), masses)
 
 
@@ -116,7 +116,7 @@ def _axes(problem: Problem, u: Scalar) -> Float[Array, "whiskers 3 axes"]:
 
 
 def _assembled(
-    problem: Problem, forms: Forms, each: Condensed, axes: Float[Array, "whiskers 3 axes"]
+    problem: Problem, forms: Forms, each: CondensedWhisker, axes: Float[Array, "whiskers 3 axes"]
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
     """Mass and flexibility: inner coordinates of all whiskers, then the coordinates of all bases."""
     inner = each.flexibility.shape[1]

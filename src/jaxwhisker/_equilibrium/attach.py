@@ -29,7 +29,7 @@ from jaxwhisker._rod.rod import Section
 SHARES = np.array([0.001, 0.004, 0.015, 0.05, 0.12, 0.25, 0.4, 0.6, 0.8, 1.0])
 
 
-class _Law(eqx.Module):
+class _TensionLaw(eqx.Module):
     """A user-defined law of tension in the dimensionless problem."""
 
     law: Any
@@ -60,7 +60,9 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     for spring in springs:
         if callable(spring.stiffness):
             turns = spring.axis == "phi"
-            laws.append(_Law(spring.stiffness, 1.0 if turns else unit.length, unit.moment if turns else unit.force))
+            laws.append(
+                _TensionLaw(spring.stiffness, 1.0 if turns else unit.length, unit.moment if turns else unit.force)
+            )
         ends = []
         for whisker, at in spring.ends:
             k = whisker - 1
@@ -156,12 +158,12 @@ def _on_unloaded(at: Scalar, section: Section | None) -> tuple[Scalar, Scalar, S
     return x, y + jnp.minimum(at, 0.0), jnp.arctan2(-cos, sin)
 
 
-class _Unloaded(NamedTuple):
+class _UnloadedProblem(NamedTuple):
     problem: InPlane
     found: Bool[Array, ""]
 
 
-def with_unloaded(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> _Unloaded:
+def with_unloaded(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> _UnloadedProblem:
     """The problem with springs on shafts, and whether its unloaded whiskers are in equilibrium.
 
     Args:
@@ -173,7 +175,7 @@ def with_unloaded(problem: InPlane, springs: OnShafts, held: Float[Array, "whisk
     contact, pose = jax.lax.stop_gradient((contact, pose))
     found = jnp.all(jnp.isfinite(contact)) & jnp.all(jnp.isfinite(pose))
     contact, pose = (jnp.where(found, value, 0.0) for value in (contact, pose))
-    return _Unloaded(_with_springs(problem, springs, held, contact, pose), found)
+    return _UnloadedProblem(_with_springs(problem, springs, held, contact, pose), found)
 
 
 def _with_springs(

@@ -31,7 +31,7 @@ LARGEST_TURN = 0.3  # sine of the angle between the tangents at both ends of a p
 TANGENTS = 16  # of a closed object, from one of which Newton's method starts
 
 
-class _Place(NamedTuple):
+class _GapPlace(NamedTuple):
     """A place in a cell, the gap there, and its derivative by the place."""
 
     t: Float[Array, "*cells"]
@@ -39,11 +39,11 @@ class _Place(NamedTuple):
     slope: Float[Array, "*cells"]
 
 
-class _Section(NamedTuple):
+class _CellParts(NamedTuple):
     """The parts of cells in which the shaft may come nearest."""
 
-    start: _Place
-    end: _Place
+    start: _GapPlace
+    end: _GapPlace
     bend: Float[Array, " cells"]  # how far at most a whole cell leaves the tangent at one of its ends
 
     def lowest(self) -> tuple[Float[Array, " cells"], Float[Array, " cells"]]:
@@ -127,8 +127,8 @@ def least_gap(
         near, searched = parameter, ~clear_of_tangent(profile, cells, parameter)
     gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))
     zero, bend = jnp.zeros(gap.size - 1), jnp.linalg.norm(cells.arriving - cells.leaving, axis=1) / 2
-    start = _Place(zero, jnp.where(searched, gap[:-1], jnp.inf), jnp.sum(cells.leaving * normal[:-1], axis=1))
-    end = _Place(zero + 1, jnp.where(searched, gap[1:], jnp.inf), jnp.sum(cells.arriving * normal[1:], axis=1))
+    start = _GapPlace(zero, jnp.where(searched, gap[:-1], jnp.inf), jnp.sum(cells.leaving * normal[:-1], axis=1))
+    end = _GapPlace(zero + 1, jnp.where(searched, gap[1:], jnp.inf), jnp.sum(cells.arriving * normal[1:], axis=1))
 
     def goes_on(carry) -> Bool[Array, ""]:
         section, cuts = carry
@@ -144,15 +144,15 @@ def least_gap(
         t = jnp.where(cuts % 2 == 1, (section.start.t + section.end.t) / 2, t)
         cell, t = jax.tree.map(lambda leaf: leaf[k], (cells, t))
         gap, normal = _gaps(profile, cell.value(t)[None], near, jnp.ones(1, bool))
-        place = _Place(t, gap[0], jnp.sum(cell.rate(t) * normal[0]))
+        place = _GapPlace(t, gap[0], jnp.sum(cell.rate(t) * normal[0]))
 
-        def renewed(places: _Place, renew: Bool[Array, ""]) -> _Place:
+        def renewed(places: _GapPlace, renew: Bool[Array, ""]) -> _GapPlace:
             return jax.tree.map(lambda old, new: old.at[k].set(jnp.where(renew, new, old[k])), places, place)
 
         falls = place.slope < 0
-        return _Section(renewed(section.start, falls), renewed(section.end, ~falls), section.bend), cuts + 1
+        return _CellParts(renewed(section.start, falls), renewed(section.end, ~falls), section.bend), cuts + 1
 
-    return jax.lax.while_loop(goes_on, cut, (_Section(start, end, bend), jnp.asarray(0)))[0].least()
+    return jax.lax.while_loop(goes_on, cut, (_CellParts(start, end, bend), jnp.asarray(0)))[0].least()
 
 
 def _gaps(

@@ -106,7 +106,7 @@ class BaseEquations(NamedTuple):
     places: Float[Array, "*batch places 3"] | None = None  # of springs; None without couplings
 
 
-class Linearised(NamedTuple):
+class LinearisedEquations(NamedTuple):
     """The equations of a whisker, and their derivatives, whose last axis is that of what they are taken by."""
 
     value: BaseEquations
@@ -300,7 +300,7 @@ def linearise(
     friction: Friction | None = None,
     *,
     rates: AbstractRod,
-) -> Linearised:
+) -> LinearisedEquations:
     """Linearise the equations of a whisker about the contact z."""
 
     def value_and_value(z, body=body):
@@ -315,14 +315,16 @@ def linearise(
             lambda at: value_and_value(at[:3], _moved(body, at[3], at[4:])), has_aux=True
         )(jnp.concatenate([z[:3], jnp.zeros(1 + loads)]))
         parts = [slice(3), 3, *([slice(4, None)] if loads else [])]
-        return Linearised(value, *(jax.tree.map(lambda leaf, part=part: leaf[..., part], gradient) for part in parts))
+        return LinearisedEquations(
+            value, *(jax.tree.map(lambda leaf, part=part: leaf[..., part], gradient) for part in parts)
+        )
     gradient, (value, b) = jax.jacfwd(value_and_value, has_aux=True)(z)
     if body.frame_rate is None:
-        return Linearised(value, gradient, None)
+        return LinearisedEquations(value, gradient, None)
     _, by_control = jax.jvp(
         lambda frame: in_base_frame(body._replace(frame=frame), b), (body.frame,), (body.frame_rate,)
     )
-    return Linearised(value, gradient, by_control)
+    return LinearisedEquations(value, gradient, by_control)
 
 
 def _moved(body: WhiskerAtObject, step: Scalar, loads: Float[Array, " loads"]) -> WhiskerAtObject:

@@ -33,7 +33,7 @@ class Couplings(NamedTuple):
     columns: Int[Array, "springs 3"]  # of its load in the contacts, flattened
 
 
-class Law(NamedTuple):
+class CouplingLoads(NamedTuple):
     """The loads that springs between two shafts have in a state, and their derivatives."""
 
     load: Float[Array, "springs 3"]  # on the second whisker; minus that on the first
@@ -90,7 +90,7 @@ def _length(spring: ShaftSprings, ends: Float[Array, "2 3"], anchors: Float[Arra
     return length_of(spring, apart - (anchors[1] - anchors[0]), apart)
 
 
-def law_of(couplings: Couplings, laws: Laws, held_by: Attachments, places: Places) -> Law:
+def law_of(couplings: Couplings, laws: Laws, held_by: Attachments, places: Places) -> CouplingLoads:
     """Loads of the springs where their ends are at these places."""
 
     def load(spring, ends, anchors):
@@ -101,7 +101,7 @@ def law_of(couplings: Couplings, laws: Laws, held_by: Attachments, places: Place
     slopes, value = jax.vmap(jax.jacfwd(load, argnums=1, has_aux=True))(
         couplings.spring, *ends_of(couplings, held_by, places)
     )
-    return Law(value, slopes[:, :, 0], slopes[:, :, 1])
+    return CouplingLoads(value, slopes[:, :, 0], slopes[:, :, 1])
 
 
 class Coupled(NamedTuple):
@@ -115,7 +115,7 @@ class Coupled(NamedTuple):
     load_by_loads: Float[Array, "whiskers axes loads"]
 
 
-class Rows(NamedTuple):
+class CouplingRows(NamedTuple):
     """The equations of the loads: load - law(places) = 0, linearised."""
 
     law: Float[Array, "springs 3"]
@@ -124,7 +124,7 @@ class Rows(NamedTuple):
     by_u: Float[Array, " loads"]
 
 
-def rows(couplings: Couplings, laws: Laws, held_by: Attachments, at: Coupled) -> Rows:
+def rows(couplings: Couplings, laws: Laws, held_by: Attachments, at: Coupled) -> CouplingRows:
     """Derivatives of these equations with respect to the steps, the loads and the control."""
     law = law_of(couplings, laws, held_by, at.places)
     n, _, _, axes = at.places_by.shape
@@ -143,7 +143,7 @@ def rows(couplings: Couplings, laws: Laws, held_by: Attachments, at: Coupled) ->
         by_steps = by_steps.at[each, :, end.whisker, :].add(-own, unique_indices=True)
     by_loads = jnp.eye(count) - jnp.reshape(sum(own for _, own in pulled(at.places_by_loads)), (count, count))
     by_u = -jnp.reshape(sum(own for _, own in pulled(at.places_by_u[..., None])), count)
-    return Rows(law.load, jnp.reshape(by_steps, (count, n * axes)), by_loads, by_u)
+    return CouplingRows(law.load, jnp.reshape(by_steps, (count, n * axes)), by_loads, by_u)
 
 
 def moved(incidence: Float[Array, "places springs"], loads: Float[Array, " loads"]) -> Float[Array, "places 3"]:

@@ -14,7 +14,7 @@ from jaxwhisker._equilibrium import touch
 from jaxwhisker._equilibrium.attach import attached, with_unloaded
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
-from jaxwhisker._equilibrium.touch import Outline, Touch
+from jaxwhisker._equilibrium.touch import Outline, TouchAlongX
 from jaxwhisker._model.canonical import CanonicalScene, canonical
 from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile
@@ -72,7 +72,7 @@ def problem_of(scene: Scene | CanonicalScene) -> Problem:
     none = jnp.zeros_like(length)
 
     def somewhere(one):
-        no_touch = Touch(none + sum(one.ends()) / 2, none, none, none, none > 0)
+        no_touch = TouchAlongX(none + sum(one.ends()) / 2, none, none, none, none > 0)
         return no_touch, no_touch
 
     right, left = touch.of_objects(common["profile"], somewhere)
@@ -100,7 +100,7 @@ def _turned(angle: Scalar, stiffness: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jnp.sum(turn[:, None, :] * stiffness * turn[None, :, :], axis=-1)
 
 
-def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[Touch, Touch]:
+def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tuple[TouchAlongX, TouchAlongX]:
     """First touches of straight whiskers that stand upright at height 0, from the right and from the left."""
 
     def touches(one):
@@ -112,7 +112,7 @@ def _first_touches_upright(profile: AbstractProfile, length: PerWhisker) -> tupl
 
 def _first_touches(
     profile: AbstractProfile, length: PerWhisker, outline: Outline, height: PerWhisker, angle: PerWhisker
-) -> tuple[Touch, Touch]:
+) -> tuple[TouchAlongX, TouchAlongX]:
     """First touches of whiskers with these outlines, from the right and from the left."""
 
     def touches(one):

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._base.implicit import without_rule
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import FORCE, BaseEquations, Linearised
+from jaxwhisker._equilibrium.contact import FORCE, BaseEquations, LinearisedEquations
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Places, as_contacts, law_of, loads_in
 from jaxwhisker._equilibrium.friction import Friction
@@ -87,7 +87,7 @@ class _ImplicitStep(NamedTuple):
     """The linearised equations at a solution."""
 
     at: Condensed
-    linear: Linearised
+    linear: LinearisedEquations
     drift: Point  # tangent of the solution for given tangents of problem and condition
     tangent: Point  # of the path
     inverse: Float[Array, "rows rows"]  # of the linear system
@@ -116,7 +116,7 @@ def _implicit_step(
     if couplings is not None:
         each = jnp.eye(couplings.columns.size).reshape(-1, *couplings.columns.shape)
         by_loads = by(lambda loads: as_contacts(couplings, loads, z), each)
-    linear = Linearised(value, gradient, by_u, by_loads)
+    linear = LinearisedEquations(value, gradient, by_u, by_loads)
     at = condense(problem, here.z, state, linear)
     # Residuals are linear in the values, and so are their tangents in those of the values.
     dot = condense(problem, here.z, state, linear._replace(value=differential(known_dot, None, None)))

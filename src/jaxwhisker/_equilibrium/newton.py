@@ -27,9 +27,18 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import block_diagonal, solve, times_block_diagonal
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium import contact
-from jaxwhisker._equilibrium.contact import FORCE, LEAN, PARAMETER, SLACK, BaseEquations, Linearised, Phase, of_each
+from jaxwhisker._equilibrium.contact import (
+    FORCE,
+    LEAN,
+    PARAMETER,
+    SLACK,
+    BaseEquations,
+    LinearisedEquations,
+    Phase,
+    of_each,
+)
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.couplings import Coupled, Rows, as_contacts, loads_in, rows
+from jaxwhisker._equilibrium.couplings import Coupled, CouplingRows, as_contacts, loads_in, rows
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
@@ -55,7 +64,7 @@ def with_dummy_contacts(
 
 def linearise_all(
     problem: Problem, point: Point, state: ContactState, rates: AbstractRod, sequential: bool
-) -> Linearised:
+) -> LinearisedEquations:
     """The equations of every whisker, linearised."""
     z, phase = with_dummy_contacts(problem, point.z, state.phase)
     linearised = partial(contact.linearise, rates=rates)
@@ -182,7 +191,7 @@ class Apart(NamedTuple):
 
 
 def condense(
-    problem: Problem, contacts: Contacts, state: ContactState, linear: Linearised, apart: Apart | None = None
+    problem: Problem, contacts: Contacts, state: ContactState, linear: LinearisedEquations, apart: Apart | None = None
 ) -> Condensed:
     """Eliminate each whisker's own equations."""
     axes, z, (value, gradient, by_u, by_loads) = problem.axes, contacts[:, :3], linear
@@ -314,7 +323,7 @@ def solve_coupled(
 Change = tuple[Point, Poses, Poses]  # of contacts and control, of poses, and of loads
 
 
-def load_rows(problem: Problem, at: Condensed) -> Rows | None:
+def load_rows(problem: Problem, at: Condensed) -> CouplingRows | None:
     """The equations of the loads of springs between two shafts; None without any."""
     held = problem.attached
     if held is None or held.couplings is None or at.coupled is None:

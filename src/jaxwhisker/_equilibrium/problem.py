@@ -25,7 +25,7 @@ from jaxwhisker._equilibrium.contact import Base, Phase, Sprung, WhiskerAtObject
 from jaxwhisker._equilibrium.couplings import Couplings, given_by, incidence_of
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws
 from jaxwhisker._equilibrium.stance import Contacts, PerObject, PerWhisker, Poses, ScenePose, Stance
-from jaxwhisker._equilibrium.touch import Outline, Touch
+from jaxwhisker._equilibrium.touch import Outline, TouchAlongX
 from jaxwhisker._model.motion import AbstractMotion, Frame, Pose, frame_and_rate, mounted
 from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.profile import AbstractProfile
@@ -61,8 +61,8 @@ class Problem(eqx.Module):
     flexibility: Flexibility
     # First touches of unloaded whiskers from the right and from the left, with the drive at control 0; of each object
     # if there are several.
-    touch_right: Touch
-    touch_left: Touch
+    touch_right: TouchAlongX
+    touch_left: TouchAlongX
     valid: Bool[Array, ""]
     unit: Units
     friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction

@@ -25,7 +25,7 @@ CELLS = 16  # from contact to base
 CELLS_BEYOND = 8  # from contact to tip; one if the whisker is straight there
 
 
-class Line(NamedTuple):
+class ShaftLine(NamedTuple):
     """Points and directions (towards the tip) of a part of a shaft, from the contact on."""
 
     x: Along
@@ -38,8 +38,8 @@ class Line(NamedTuple):
 class Shaft(NamedTuple):
     """The shaft of a whisker in the scene."""
 
-    to_base: Line
-    to_tip: Line
+    to_base: ShaftLine
+    to_tip: ShaftLine
     parameter: Scalar  # of the profile at the contact
     base: Base
 
@@ -72,9 +72,9 @@ def shaft(
         points = rod.points(start, length, Load(None, -force, None), material, at=at, solver=solver, from_base=arc)
         return jnp.stack(points), -length * jnp.diff(at)
 
-    def in_scene(points: Float[Array, "4 points"], cell: Float[Array, " cells"]) -> Line:
+    def in_scene(points: Float[Array, "4 points"], cell: Float[Array, " cells"]) -> ShaftLine:
         placed = contact.in_scene(at, leans, points, z[FORCE], side)
-        return Line(placed.x, placed.y, placed.cos, placed.sin, cell)
+        return ShaftLine(placed.x, placed.y, placed.cos, placed.sin, cell)
 
     to_base, to_tip = line(arc, z[FORCE], CELLS), line(arc - body.length, jnp.zeros_like(z[FORCE]), cells_beyond)
     base = contact.in_scene(at, leans, to_base[0][:, -1], z[FORCE], side)
@@ -96,8 +96,8 @@ def _sprung_shaft(
     walked = walk(start, load, arc, material, places, body.laws, sprung.drive, steps=1)
     nothing = Load(None, jnp.zeros_like(arc), None)
     beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
-    to_base = Line(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
-    to_tip = Line(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
+    to_base = ShaftLine(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
+    to_tip = ShaftLine(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
     p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
     p = jnp.where(phase == Phase.free, sprung.placeholder_parameter, p)
     return Shaft(to_base, to_tip, p, contact.base(body, z, phase, side, friction))
@@ -109,9 +109,9 @@ def moved(own: Shaft, x: Scalar, y: Scalar, angle: Scalar) -> Shaft:
     cos, sin = -jnp.sin(angle), jnp.cos(angle)
     turn_cos, turn_sin = base.cos * cos + base.sin * sin, base.cos * sin - base.sin * cos
 
-    def line(part: Line) -> Line:
+    def line(part: ShaftLine) -> ShaftLine:
         right, up = part.x - base.x, part.y - base.y
-        return Line(
+        return ShaftLine(
             x + right * turn_cos - up * turn_sin,
             y + right * turn_sin + up * turn_cos,
             part.cos * turn_cos - part.sin * turn_sin,
@@ -125,7 +125,7 @@ def moved(own: Shaft, x: Scalar, y: Scalar, angle: Scalar) -> Shaft:
 def cells_of(own: Shaft) -> Cubic:
     """Cells of a shaft from base to tip, (cells, 2)."""
 
-    def part(line: Line, towards_tip: bool) -> Cubic:
+    def part(line: ShaftLine, towards_tip: bool) -> Cubic:
         points, directions = jnp.stack([line.x, line.y], -1), jnp.stack([line.cos, line.sin], -1)
         size = jnp.abs(line.cell)[:, None]
         return between(points, directions, size) if towards_tip else between(points[::-1], directions[::-1], size[::-1])

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from jaxwhisker._equilibrium.touch import Touch
+from jaxwhisker._equilibrium.touch import TouchAlongX
 
 PerWhisker = Float[Array, " whiskers"]
 Contacts = Float[Array, "*batch whiskers numbers"]  # three numbers, and loads (see contact.py and couplings.py)
@@ -35,8 +35,8 @@ class Stance(NamedTuple):
     """
 
     x: PerWhisker
-    right: Touch  # in an approach from the right
-    left: Touch
+    right: TouchAlongX  # in an approach from the right
+    left: TouchAlongX
     free: Contacts | None = None  # their contacts if they are free (contact.py); None if unbent
     loads: Float[Array, "whiskers loads"] | None = None  # the last part of their contacts; None without couplings
 
@@ -48,7 +48,7 @@ class Stance(NamedTuple):
         right, left = (jax.tree.map(pick, touch) for touch in (self.right, self.left))
         return self._replace(right=right, left=left)
 
-    def first(self, side: PerObject) -> Touch:
+    def first(self, side: PerObject) -> TouchAlongX:
         """First touches of whiskers that approach from these sides (+1 right, -1 left)."""
         return jax.tree.map(lambda right, left: jnp.where(side > 0, right, left), self.right, self.left)
 

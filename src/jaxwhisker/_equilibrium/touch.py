@@ -26,7 +26,7 @@ NEWTON_STEPS = 8
 SAME_PLACE = 1e-9  # dimensionless: points of a whisker this close to the first touch touch at the same time
 
 
-class Touch(NamedTuple):
+class TouchAlongX(NamedTuple):
     """A contact that is about to begin if the base moves along x.
 
     Fields are (whiskers,) for several whiskers, and (objects, whiskers) with several objects.
@@ -40,7 +40,7 @@ class Touch(NamedTuple):
     piece: Int[Array, "*batch"] | None = None  # of the profile; None without edges
 
 
-Touches = tuple[Touch, Touch]  # from the right and from the left
+Touches = tuple[TouchAlongX, TouchAlongX]  # from the right and from the left
 
 
 def of_objects(profile: AbstractProfile, touches: Callable[[AbstractProfile], Touches]) -> Touches:
@@ -80,7 +80,7 @@ def _angle(cos: Scalar, sin: Scalar, at: ContactPoint, side: Scalar) -> Scalar:
     return jnp.arctan2(sin * at.cos - cos * at.sin, side * (cos * at.cos + sin * at.sin))
 
 
-def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) -> Touch:
+def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) -> TouchAlongX:
     """The first touch of a straight whisker that stands upright at height 0."""
     touch = profile.first_touch(length, side)
     at = profile.point(touch.parameter)
@@ -89,7 +89,7 @@ def first_touch_upright(profile: AbstractProfile, length: Scalar, side: Scalar) 
     angle = jnp.arctan2(jnp.abs(at.cos), side * at.sin)
     slack = jnp.where(beyond > SHAFT_FIRST * length, beyond, -angle)
     reaches = jnp.asarray((1 - GRAZE) * length > profile.vertex()[1])
-    return Touch(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches, touch.piece)
+    return TouchAlongX(touch.parameter, touch.x, slack, jnp.asarray(side, dtype=float), reaches, touch.piece)
 
 
 class _Approach(NamedTuple):
@@ -125,7 +125,7 @@ def in_two_places(profile: AbstractProfile, own: Outline, y: Scalar, angle: Scal
 
 def first_touch(
     profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar, side: Scalar
-) -> Touch:
+) -> TouchAlongX:
     """The first touch, with its tip or along its shaft, of a whisker with its base at height y and turned by an angle.
 
     It is searched for at points of the whisker and then solved for between them, where the outline is interpolated as a
@@ -208,7 +208,7 @@ def first_touch(
     (shaft_x, _), (cos, sin) = whisker(cell)
     along = jnp.where(cos * at.cos + sin * at.sin < 0, -1.0, 1.0)
     return jax.lax.stop_gradient(
-        Touch(
+        TouchAlongX(
             jnp.where(tip, touch.parameter[k], parameter),
             jnp.where(reaches, jnp.where(tip, touch.x[k] - xs[k], at.x - shaft_x), profile.vertex()[0] - xs[-1]),
             jnp.where(tip, -tip_angle, length * (1 - cell / (POINTS - 1))),
@@ -221,7 +221,7 @@ def first_touch(
 
 def first_touches(
     profile: AbstractProfile, length: Scalar, own: Outline, y: Scalar, angle: Scalar
-) -> tuple[Touch, Touch]:
+) -> tuple[TouchAlongX, TouchAlongX]:
     """First touches of a whisker approaching from the right and from the left."""
     both = jax.vmap(lambda side: first_touch(profile, length, own, y, angle, side))(jnp.array([1.0, -1.0]))
     return jax.tree.map(lambda leaf: leaf[0], both), jax.tree.map(lambda leaf: leaf[1], both)

@@ -146,7 +146,7 @@ def identify_bending(test: BendingTest, guess: dict[str, Any], sigma: Any, bound
     check_traceable(test.of_first_case, guess)
     given = sigma is not None
     noise = _read_sigma(test, sigma) if given else np.broadcast_to(GUESSED_NOISE * test.peaks, test.values.shape)
-    problem = _Problem(test, tuple(guess), transforms, noise)
+    problem = _BendingProblem(test, tuple(guess), transforms, noise)
     solution = problem.fit(transforms.variables(list(guess.values())))
     steps = solution.steps
     for _ in range(0 if given or not np.isfinite(solution.residual).all() else ESTIMATES):
@@ -181,7 +181,7 @@ class _Compared(NamedTuple):
     status: Any  # (cases,)
 
 
-class _Problem(NamedTuple):
+class _BendingProblem(NamedTuple):
     """A bending test as a least-squares problem."""
 
     test: BendingTest
@@ -291,7 +291,7 @@ def _read_sigma(test: BendingTest, sigma: Any) -> np.ndarray:
     return noise
 
 
-def _noise_of(problem: _Problem, solution: Minimum) -> np.ndarray:
+def _noise_of(problem: _BendingProblem, solution: Minimum) -> np.ndarray:
     """Noise of each column, estimated from the residuals."""
     known = problem.test.known
     off = np.zeros(known.shape)
@@ -300,7 +300,7 @@ def _noise_of(problem: _Problem, solution: Minimum) -> np.ndarray:
     return np.broadcast_to(noise, known.shape)
 
 
-def _status_of(problem: _Problem, solution: Minimum, given: bool) -> tuple[FitStatus, str]:
+def _status_of(problem: _BendingProblem, solution: Minimum, given: bool) -> tuple[FitStatus, str]:
     """How the fit ended, and the reason for failure."""
     test, transforms = problem.test, problem.transforms
     if not np.isfinite(solution.residual).all():

@@ -122,7 +122,7 @@ def fit_surface(points: Any, family: type[AbstractSurface] | None, normals: bool
     )
 
 
-def _fitted(family: type, values: np.ndarray, observed: "_Points") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _fitted(family: type, values: np.ndarray, observed: "_SurfacePoints") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values at the minimum, residuals and their derivatives: Gauss-Newton steps, with new weights at each of them."""
     for _ in range(GAUSS_NEWTON_STEPS):
         residual, gradient = map(np.asarray, _linearised(family, jnp.asarray(values), observed))
@@ -136,7 +136,7 @@ def _fitted(family: type, values: np.ndarray, observed: "_Points") -> tuple[np.n
     return values, residual, gradient
 
 
-class _Points(eqx.Module):
+class _SurfacePoints(eqx.Module):
     """Points of an object relative to their middle, in units of their size."""
 
     position: Float[Array, "points 3"] | Float[np.ndarray, "points 3"]
@@ -145,13 +145,13 @@ class _Points(eqx.Module):
     weight: Float[Array, " points"] | Float[np.ndarray, " points"]  # 0 for padding
     has_normals: bool = eqx.field(static=True)
 
-    def padded(self) -> "_Points":
+    def padded(self) -> "_SurfacePoints":
         room = [(0, -self.weight.size % PADDED)]
         padded = jax.tree.map(lambda v: np.pad(v, room + [(0, 0)] * (v.ndim - 1), mode="edge"), self)
         return eqx.tree_at(lambda points: points.weight, padded, np.pad(self.weight, room))
 
 
-def _read_points(points: Any, normals: bool) -> tuple[_Points, np.ndarray, float]:
+def _read_points(points: Any, normals: bool) -> tuple[_SurfacePoints, np.ndarray, float]:
     """Significant points, their middle and their size."""
     every = list(points) if isinstance(points, Sequence) else [points]
     if not every:
@@ -177,14 +177,14 @@ def _read_points(points: Any, normals: bool) -> tuple[_Points, np.ndarray, float
     by[:, :3, :3] = np.eye(3) / size
     by[:, 3:, 3:] = (np.eye(3) - direction[:, :, None] * direction[:, None, :]) / strength[:, None, None]
     scaled = by @ noise @ by.transpose(0, 2, 1) if certain.any() else None
-    return _Points((position - middle) / size, direction, scaled, np.ones(len(force)), normals), middle, size
+    return _SurfacePoints((position - middle) / size, direction, scaled, np.ones(len(force)), normals), middle, size
 
 
 _ALLOWED = "the result of jw.reconstruct in space, or a list of such results"
 _JUDGED, _VECTORS = ("status", "significance"), ("point", "force")
 
 
-def _start(observed: _Points, family: type) -> Float[np.ndarray, " p"]:
+def _start(observed: _SurfacePoints, family: type) -> Float[np.ndarray, " p"]:
     """Values to start from: x.A x + b.x + c = 0 and tangents.(2 A x + b) = 0 by linear least squares, trace A = 3."""
     x, n = np.asarray(observed.position), np.asarray(observed.direction)
     one, zero = np.ones((len(x), 1)), np.zeros((len(x), 3, 1))
@@ -263,7 +263,7 @@ def _tangents(normal: Point) -> Float[Array, "2 3"]:
     return jnp.stack([one, jnp.cross(normal, one)])
 
 
-def _residuals(family: type, values, observed: _Points, weights) -> Float[Array, "points 3"]:
+def _residuals(family: type, values, observed: _SurfacePoints, weights) -> Float[Array, "points 3"]:
     """Residuals of every point, whitened: its distance from the surface, and the direction of its force."""
     surface = _of_values(family, values)
 
@@ -283,7 +283,7 @@ def _residuals(family: type, values, observed: _Points, weights) -> Float[Array,
     return residuals * observed.weight[:, None]
 
 
-def _weights(family: type, values, observed: _Points) -> Float[Array, "points 3 3"]:
+def _weights(family: type, values, observed: _SurfacePoints) -> Float[Array, "points 3 3"]:
     """Lower triangular matrices that whiten the residuals, smaller for outliers (Huber)."""
     surface = _of_values(family, values)
     used = jnp.array([1.0, *[float(observed.has_normals)] * 2])
@@ -321,7 +321,7 @@ def _whitening(covariance: Matrix) -> Matrix:
 
 
 @Program
-def _linearised(family: type, values, observed: _Points):
+def _linearised(family: type, values, observed: _SurfacePoints):
     """Whitened residuals, and their derivatives with respect to the values at constant weights."""
     weights = _weights(family, values, observed)
 

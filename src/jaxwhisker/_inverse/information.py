@@ -246,14 +246,14 @@ def arguments_of_build(values: Mapping[str, float], channels: Any, gains: Any) -
     return {n: v for n, v in values.items() if n not in further and not (of_gains and n.startswith("gain_"))}
 
 
-def logs_of(build: Callable, point: Mapping[str, float], measurement: "Measurement") -> np.ndarray:
+def logs_of(build: Callable, point: Mapping[str, float], measurement: "Experiment") -> np.ndarray:
     """Which parameters are described by relative changes, in the order of `measurement.at`."""
     own = {name: measurement.at[name] for name in measurement.unknowns.build}
     log = dict(zip(own, transforms_of(build, {**own, **point}).log, strict=False))
     return np.array([log.get(name, False) for name in measurement.at])
 
 
-class Measurement(NamedTuple):
+class Experiment(NamedTuple):
     """What is measured, with its noise, and what is unknown."""
 
     unknowns: Unknowns
@@ -269,7 +269,7 @@ def measurement_of(
     values: Mapping[str, float],
     gains: Any,
     offsets: bool,
-) -> Measurement:
+) -> Experiment:
     """Read what is measured from the arguments of `information`.
 
     Raises:
@@ -301,11 +301,11 @@ def measurement_of(
     if unused := set(values) - set(unknowns.all_names):
         allowed = f"unknowns ({', '.join(unknowns.all_names)})"
         raise ValueError(f"`at` must name {allowed}, got {', '.join(sorted(unused))}.")
-    return Measurement(unknowns, {**values, **{n: v for n, v in default.items() if n not in values}}, noise)
+    return Experiment(unknowns, {**values, **{n: v for n, v in default.items() if n not in values}}, noise)
 
 
 def information_at(
-    build: Callable, chosen: Mapping[str, float], measurement: Measurement, log: np.ndarray
+    build: Callable, chosen: Mapping[str, float], measurement: Experiment, log: np.ndarray
 ) -> Information:
     """The information about some parameters, for chosen values of the others."""
     unknowns, at, noise = measurement

@@ -19,7 +19,15 @@ from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.shaft_springs import past
 from jaxwhisker._inverse.inverse_rod import GUESSES, START, zero_of
-from jaxwhisker._inverse.nearest import Contacts, Phase, Signals, State, nearest_state, rotated, value_and_jacobian
+from jaxwhisker._inverse.nearest import (
+    Contacts,
+    PhaseCandidate,
+    StepSignals,
+    WhiskerState,
+    nearest_state,
+    rotated,
+    value_and_jacobian,
+)
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Sensor
@@ -42,13 +50,13 @@ class HeldObservation(NamedTuple):
     pose: Float[Array, "3"] | None  # measured pose of the base in the drive's frame; None: it follows from the springs
     lean: Scalar | None  # of the contact force: slope of the object minus angle of the force; None: no friction
 
-    phases = Phase(np.array([True, False, False]), np.array([0.0, 0.0, np.pi]))
+    phases = PhaseCandidate(np.array([True, False, False]), np.array([0.0, 0.0, np.pi]))
     conditions = 2
     steps = 8
     handicaps = np.zeros(3)
     failed = np.array([0.8795, -0.4758, -0.9755, 0.1, 0.0, 0.0])
 
-    def state(self, y: Float[Array, "4"], phase: Phase) -> State:
+    def state(self, y: Float[Array, "4"], phase: PhaseCandidate) -> WhiskerState:
         """The state with these loads on the base and this angle or arc beyond the contact.
 
         Its values are those of Contacts. The conditions are the moment at the contact, and the angle of the whisker
@@ -66,9 +74,9 @@ class HeldObservation(NamedTuple):
         contact, base = (self._in_scene(at) for at in (jnp.stack([x, y_, slope]), pose))
         contact = contact.at[2].set(_wrapped(contact[2]))
         values = jnp.concatenate([contact, jnp.stack([arc]), base, jnp.sqrt(fx**2 + fy**2)[None]])
-        return State(rotated(reaction, self.drive[2]), conditions, values)
+        return WhiskerState(rotated(reaction, self.drive[2]), conditions, values)
 
-    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+    def limits(self, phase: PhaseCandidate) -> tuple[Scalar, Scalar]:
         """Least and largest angle or arc beyond the contact, which lies above all springs."""
         return 0.0, jnp.where(phase.tip, jnp.pi, jnp.minimum(0.999, 1 - self._top))
 
@@ -161,7 +169,7 @@ class HeldInstrument(NamedTuple):
 
     coupled = np.zeros((1, 1), bool)
 
-    def contacts(self, drive: Float[Array, "3"], signals: Signals) -> Contacts:
+    def contacts(self, drive: Float[Array, "3"], signals: StepSignals) -> Contacts:
         """The contact at one step."""
         one = jax.tree.map(lambda leaf: leaf[0], signals)
         pose = None if one.pose is None else rotated(one.pose - drive, -drive[2])

@@ -19,9 +19,9 @@ from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._inverse.nearest import (
     Contacts,
     Estimate,
-    Phase,
-    Signals,
-    State,
+    PhaseCandidate,
+    StepSignals,
+    WhiskerState,
     nearest_state,
     rotated,
     value_and_jacobian,
@@ -38,7 +38,7 @@ START = 0.02  # of the length: least initial arc beyond the contact, because poi
 POINTED = 1e-4  # of the length: least distance of a contact from a tip without stiffness
 
 
-class Observation(NamedTuple):
+class PlaneObservation(NamedTuple):
     """What the state of a whisker is estimated from; dimensionless."""
 
     reaction: Float[Array, "3"]
@@ -51,13 +51,13 @@ class Observation(NamedTuple):
     section: Section | None
     lean: Scalar | None = None  # of the contact force: slope of the object minus angle of the force; None: no friction
 
-    phases = Phase(np.array([True, False]), np.zeros(2))
+    phases = PhaseCandidate(np.array([True, False]), np.zeros(2))
     conditions = 0
     steps = 7  # 3 without noise
     handicaps = np.zeros(2)
     failed = np.array([1.0, 0.1])
 
-    def state(self, y: Float[Array, "2"], phase: Phase) -> State:
+    def state(self, y: Float[Array, "2"], phase: PhaseCandidate) -> WhiskerState:
         """The state with this force and angle (tip contact) or arc beyond the contact (tangential contact).
 
         Its values are the contact point relative to the base, the slope of the object there (rad), the arc length from
@@ -79,14 +79,14 @@ class Observation(NamedTuple):
         slope = jnp.arctan2(force_sin, force_cos) + (0.0 if self.lean is None else self.lean)
         where = [up * force_sin - x * force_cos, -x * force_sin - up * force_cos, slope, arc, base_angle]
         reaction = [-force * force_sin, force * force_cos, -force * x]
-        return State(jnp.stack(reaction), jnp.zeros(0), jnp.stack(where))
+        return WhiskerState(jnp.stack(reaction), jnp.zeros(0), jnp.stack(where))
 
     @property
     def _turn(self) -> Scalar:
         """Angle from the frame of the contact force to that of the object, as the rod is bent."""
         return jnp.zeros(()) if self.lean is None else self.side * self.lean
 
-    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+    def limits(self, phase: PhaseCandidate) -> tuple[Scalar, Scalar]:
         """Least and largest angle or arc beyond the contact."""
         pointed = jnp.asarray(False) if self.section is None else ~(self.section.stiffness(self.length) > 0)
         largest = jnp.where(phase.tip, LARGEST_ANGLE, 0.999 * self.length)
@@ -127,19 +127,19 @@ def zero_of(moment: Float[Array, " points"]) -> tuple[Any, Scalar]:
 class Located(NamedTuple):
     """The contact of a whisker relative to its base, and its derivatives."""
 
-    state: State
-    by_y_angle: State  # with respect to y and the angle of the base
+    state: WhiskerState
+    by_y_angle: WhiskerState  # with respect to y and the angle of the base
     follows: Float[Array, "*whiskers 2 4"]  # of y with respect to the reaction and the angle of the base
     ambiguous: Float[Array, "*whiskers 4 4"]  # covariance that the other phase adds
     near: Estimate
 
 
 def locate(section: Section | None, lean: Scalar | None, *fields) -> Located:
-    """Locate the contact of one whisker from the other fields of its Observation."""
-    observed = Observation(*fields, section, lean)  # pyright: ignore[reportCallIssue]
+    """Locate the contact of one whisker from the other fields of its PlaneObservation."""
+    observed = PlaneObservation(*fields, section, lean)  # pyright: ignore[reportCallIssue]
     near = nearest_state(observed)
 
-    def at(y_angle: Float[Array, "3"]) -> State:
+    def at(y_angle: Float[Array, "3"]) -> WhiskerState:
         return observed._replace(angle=y_angle[2]).state(y_angle[:2], near.phase)
 
     state, by_y_angle = value_and_jacobian(at, jnp.append(near.y, observed.angle))
@@ -163,7 +163,7 @@ class Instrument(NamedTuple):
         """Whether the load on one whisker moves the base of another one."""
         return jnp.any(self.flexibility != 0, axis=(1, 3))
 
-    def contacts(self, drive: Float[Array, "3"], signals: Signals) -> Contacts:
+    def contacts(self, drive: Float[Array, "3"], signals: StepSignals) -> Contacts:
         """The contacts of all whiskers at one step."""
         known = self if signals.pose is None else self._replace(flexibility=jnp.zeros_like(self.flexibility))
         located = each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
@@ -177,8 +177,8 @@ class Instrument(NamedTuple):
         near = located.near
         return Contacts(values, near.phase.tip, ok, near.chi2, covariance + located.ambiguous)
 
-    def _observations(self, drive, signals: Signals) -> tuple:
-        """The fields of an Observation of every whisker, except the section."""
+    def _observations(self, drive, signals: StepSignals) -> tuple:
+        """The fields of a PlaneObservation of every whisker, except the section."""
         loads = rotated(-signals.measured, -drive[2])  # in the drive's frame
         rotation = self.flexibility[:, 2]  # (whiskers, whiskers, 3): of every base by all loads
         own = jnp.eye(self.length.size, dtype=bool)

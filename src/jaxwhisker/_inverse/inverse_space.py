@@ -23,7 +23,7 @@ from jaxwhisker._base.rotations import matrix
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import stacked_or_each
 from jaxwhisker._inverse.inverse_rod import POINTED, START, each_whisker
-from jaxwhisker._inverse.nearest import Phase, State, nearest_state, value_and_jacobian
+from jaxwhisker._inverse.nearest import PhaseCandidate, WhiskerState, nearest_state, value_and_jacobian
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space
 from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.scene import Units
@@ -52,7 +52,7 @@ class SpaceSensor(eqx.Module):
     friction: bool = eqx.field(static=True)  # whether contact forces may lean
 
 
-class Turning(NamedTuple):
+class BaseTurning(NamedTuple):
     """How a base turns, in the frame of the drive."""
 
     rest: Vector  # its rotation vector without a load
@@ -63,12 +63,12 @@ class Turning(NamedTuple):
         return turn - self.rest - _turned(self.flexibility, _turned(left_jacobian(turn).T, moment))
 
 
-class Base(eqx.Module):
+class BaseFrame(eqx.Module):
     """The base of a whisker."""
 
     drive: Float[Array, "3 3"]  # rotation of the drive in the scene
     mount: Float[Array, "3 3"]  # directors of the base in the frame of the drive, where it is not turned
-    turning: Turning | None  # None if it cannot turn
+    turning: BaseTurning | None  # None if it cannot turn
     own: bool = eqx.field(static=True)  # whether reactions are in its own frame
 
     def directors(self, turn: Vector | None) -> Float[Array, "3 3"]:
@@ -102,7 +102,7 @@ class SpaceObservation(eqx.Module):
 
     section: SpaceSection
     length: Scalar
-    base: Base
+    base: BaseFrame
     reaction: Float[Array, " channels"]  # whitened
     whiten: Float[Array, "channels 6"]  # from a reaction to whitened channels
     complete: Float[Array, "starts 6"]  # reactions to start from
@@ -117,10 +117,10 @@ class SpaceObservation(eqx.Module):
         return jnp.ones_like(self.reaction)
 
     @property
-    def phases(self) -> Phase:
+    def phases(self) -> PhaseCandidate:
         """Tip and shaft, from every start."""
         tip = np.repeat([True, False], len(self.complete))
-        return Phase(tip, np.zeros(tip.size))
+        return PhaseCandidate(tip, np.zeros(tip.size))
 
     @property
     def handicaps(self) -> Float[Array, " phases"]:
@@ -138,7 +138,7 @@ class SpaceObservation(eqx.Module):
         turn = jnp.zeros(0) if self.base.turning is None else self.base.turning.rest
         return jnp.concatenate([jnp.array([1.0, *[0.1] * (1 + self.friction)]), turn, jnp.array([0.1]), 0 * turn])
 
-    def state(self, y: Float[Array, " n"], phase: Phase) -> State:
+    def state(self, y: Float[Array, " n"], phase: PhaseCandidate) -> WhiskerState:
         """The state with this force, roll, angle (with friction), rotation of the base, and angle or arc beyond.
 
         Its values are the contact point relative to the base, the arc length from base to contact, the force, the
@@ -159,9 +159,9 @@ class SpaceObservation(eqx.Module):
         reaction = jnp.concatenate([-force, -moment])
         reaction = in_frame(directors, reaction) if self.base.own else reaction
         values = jnp.concatenate([contact, arc[None], force, tangent, jnp.ravel(directors)])
-        return State(_turned(self.whiten, reaction), excess, values)
+        return WhiskerState(_turned(self.whiten, reaction), excess, values)
 
-    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+    def limits(self, phase: PhaseCandidate) -> tuple[Scalar, Scalar]:
         """Least and largest angle or arc beyond the contact."""
         pointed = ~(self.section.compliance(self.length) > 0)
         at_tip = 0.0 if self.friction else LARGEST_ANGLE
@@ -218,7 +218,7 @@ def nearest_zero(moment: Float[Array, "points 3"]) -> tuple[Scalar, Any]:
     return first + share[first], first
 
 
-class Located(NamedTuple):
+class LocatedInSpace(NamedTuple):
     """The contact of a whisker relative to its base."""
 
     values: Float[Array, "*whiskers 19"]  # see SpaceObservation.state
@@ -229,14 +229,14 @@ class Located(NamedTuple):
     chi2: Float[Array, "*whiskers"]
 
 
-def locate(observed: SpaceObservation) -> Located:
+def locate(observed: SpaceObservation) -> LocatedInSpace:
     """Locate the contact of one whisker."""
     near = nearest_state(observed)  # pyright: ignore[reportArgumentType]
     values, by_y = near.state.values, near.by_y.values[:CONTACT]
     follows = near.follows(-jnp.eye(observed.reaction.size))
     by_channels = jnp.sum(by_y[:, :, None] * follows, axis=1)
     ambiguous = near.ambiguity(observed, values[:CONTACT])  # pyright: ignore[reportArgumentType]
-    return Located(values, by_channels, ambiguous, jnp.asarray(near.phase.tip), near.ok, near.chi2)
+    return LocatedInSpace(values, by_channels, ambiguous, jnp.asarray(near.phase.tip), near.ok, near.chi2)
 
 
 class SpaceInstrument(NamedTuple):
@@ -247,7 +247,7 @@ class SpaceInstrument(NamedTuple):
     mount: Placement  # in the frame of the drive; fields (whiskers, ...)
     offset: Float[Array, "whiskers 3"]  # displacement of the unloaded bases
     flexibility: Float[Array, "whiskers 3 whiskers 3"]  # displacement of bases per force on them
-    turning: Turning | None  # fields (whiskers, ...)
+    turning: BaseTurning | None  # fields (whiskers, ...)
     own: bool  # whether reactions are in the frames of the bases
     friction: bool
 
@@ -256,11 +256,11 @@ class SpaceInstrument(NamedTuple):
         """Whether the load on one whisker moves the base of another one."""
         return jnp.any(self.flexibility != 0, axis=(1, 3))
 
-    def locate(self, drive: Placement, signals: tuple) -> Located:
+    def locate(self, drive: Placement, signals: tuple) -> LocatedInSpace:
         """Contacts of all whiskers relative to their bases, from the other fields of their SpaceObservation."""
 
         def one(section, length, mount, turning, *signals):
-            base = Base(drive.rotation, mount, turning, self.own)
+            base = BaseFrame(drive.rotation, mount, turning, self.own)
             observed = SpaceObservation(section, length, base, *signals, self.friction)  # pyright: ignore[reportCallIssue]
             return locate(observed)
 
@@ -270,7 +270,7 @@ class SpaceInstrument(NamedTuple):
         """Directors of the bases under these reactions, in the scene."""
 
         def one(mount, turning, reaction):
-            base = Base(drive.rotation, mount, turning, self.own)
+            base = BaseFrame(drive.rotation, mount, turning, self.own)
             return base.directors(base.turn(reaction))
 
         return jax.vmap(one)(self.mount.rotation, self.turning, reaction)
@@ -281,7 +281,7 @@ class SpaceInstrument(NamedTuple):
         place = self.mount.position + self.offset + jnp.sum(self.flexibility * load, axis=(2, 3))
         return drive.position + jnp.sum(drive.rotation * place[:, None, :], axis=2)
 
-    def covariance(self, drive: Placement, located: Located, known: Bool[Array, " whiskers"]) -> Array:
+    def covariance(self, drive: Placement, located: LocatedInSpace, known: Bool[Array, " whiskers"]) -> Array:
         """Covariance of point, arc and force, (whiskers, 7, 7), from the noise of all known whiskers."""
         own = jnp.where(known[:, None, None], located.by_channels, 0.0)
         out = jnp.eye(known.size)[:, None, :, None] * jnp.swapaxes(own, 0, 1)[None]  # (whisker, 7, whisker, channels)
@@ -301,7 +301,7 @@ def space_instrument(sensor: SpaceSensor, unit: Units, own: bool) -> SpaceInstru
     whole = sensor.support.flexibility_in_space().in_space(unit.length, unit.force)
     matrix, offset, turning = whole.matrix.reshape(n, 6, n, 6), whole.offset.reshape(n, 6), None
     if any(axis.startswith("phi") for axis in sensor.support.axes):
-        turning = Turning(offset[:, 3:], jnp.stack([matrix[k, 3:, k, 3:] for k in range(n)]))
+        turning = BaseTurning(offset[:, 3:], jnp.stack([matrix[k, 3:, k, 3:] for k in range(n)]))
     return SpaceInstrument(
         jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers]) / unit.length,
         section,

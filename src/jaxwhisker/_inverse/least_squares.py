@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
-from jaxwhisker._inverse.linearised import LinearisedScan, Signals
+from jaxwhisker._inverse.linearised import ChannelSignals, LinearisedScan
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.residuals import Comparison, Samples, placed_and_slopes_now, prior_weight
 from jaxwhisker._inverse.statistics import chi_squared
@@ -48,7 +48,7 @@ class Scanned(NamedTuple):
 
     placed: Any  # where signals are compared
     by: Any  # its derivatives
-    signals: Signals
+    signals: ChannelSignals
     status: int  # of the path
 
 

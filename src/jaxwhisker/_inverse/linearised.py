@@ -112,7 +112,7 @@ def _events_and_slopes(
     return table, slopes
 
 
-class Signals(NamedTuple):
+class ChannelSignals(NamedTuple):
     """The signals of the channels at some steps, and their derivatives; NaN where a step failed."""
 
     values: Any  # (steps, whiskers, 3), or (steps, 1, names) from a function
@@ -211,7 +211,9 @@ class LinearisedScan:
         """Derivatives of a shift of all stops."""
         return (np.arange(self.width) == self._first + self._values.size) * float(self._shift)
 
-    def signals(self, control: np.ndarray, travel: np.ndarray, control_slopes: np.ndarray | None = None) -> Signals:
+    def signals(
+        self, control: np.ndarray, travel: np.ndarray, control_slopes: np.ndarray | None = None
+    ) -> ChannelSignals:
         """Signals at controls that the drive passes after travelling `travel`; arrays of NumPy.
 
         Args:
@@ -228,16 +230,18 @@ class LinearisedScan:
         each = [self._block(*(values[k : k + BLOCK] for values in (control, travel, slopes))) for k in blocks]
         return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *each)
 
-    def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> Signals:
+    def _block(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> ChannelSignals:
         state = self._states(control, travel, slopes)
         if self._channels.fields is not None:
-            return Signals(*state)
+            return ChannelSignals(*state)
         values = self._values, np.eye(self._values.size, self.width, self._first)
         # The function may be slow, and most steps of a block may be padding: copies of the last one.
         size = _padded(control, travel)
         *some, control, slopes = jax.tree.map(lambda leaf: np.asarray(leaf)[:size], (*state, control, slopes))
         found = channels_and_slopes_now(self._channels, *self._scene, *some, control, slopes, values)
-        return Signals(*(np.pad(leaf, [(0, BLOCK - size), *[(0, 0)] * (leaf.ndim - 1)], mode="edge") for leaf in found))
+        return ChannelSignals(
+            *(np.pad(leaf, [(0, BLOCK - size), *[(0, 0)] * (leaf.ndim - 1)], mode="edge") for leaf in found)
+        )
 
     def _states(self, control: np.ndarray, travel: np.ndarray, slopes: np.ndarray) -> tuple[Any, Any]:
         """The channels' fields of the states stacked, or states and displacements; and their derivatives."""

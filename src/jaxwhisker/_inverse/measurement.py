@@ -37,7 +37,7 @@ LAST = 1e-8  # size of the last step, dimensionless; derivatives are those befor
 FAR = 0.5  # lengths: a solution that is further from the contact it started from may be another one
 
 
-class ContactState(NamedTuple):
+class ContactUnknowns(NamedTuple):
     """The unknowns of all contacts (see contact.py), from which a solution starts."""
 
     z: Contacts
@@ -49,7 +49,7 @@ class Measurement(NamedTuple):
 
     signals: Float[Array, "whiskers 6"]  # fx, fy, fz, mx, my, mz; zero for a free whisker; NaN unless the status is ok
     jacobian: Float[Array, "whiskers 6 parameters"]  # derivatives of the signals
-    contact: ContactState  # from which the next call may start; that of this call unless the status is ok
+    contact: ContactUnknowns  # from which the next call may start; that of this call unless the status is ok
     status: Int[Array, ""]  # Status.ok; lost: no equilibrium near the contact; unstable; invalid: of the parameters
 
 
@@ -90,7 +90,7 @@ class MeasurementModel:
         self._within = jax.jit(self._measured)
 
     @with_own_settings
-    def contact(self, parameters: Any, control: Control) -> ContactState:
+    def contact(self, parameters: Any, control: Control) -> ContactUnknowns:
         """The contacts at the end of a scan.
 
         Args:
@@ -112,10 +112,10 @@ class MeasurementModel:
         if status != Status.ok or not np.any(phase != Phase.free):
             got = "no contact there" if status == Status.ok else f"a scan that ends before ({status.name})"
             checks.fail("control", "drive positions of which the last one is in contact", got)
-        return ContactState(jnp.asarray(found.z[-1]), phase)
+        return ContactUnknowns(jnp.asarray(found.z[-1]), phase)
 
     @with_own_settings
-    def __call__(self, parameters: Any, control: Scalar, contact: ContactState) -> Measurement:
+    def __call__(self, parameters: Any, control: Scalar, contact: ContactUnknowns) -> Measurement:
         """Signals and derivatives at a drive position, found from a contact nearby.
 
         Args:
@@ -135,7 +135,7 @@ class MeasurementModel:
             checks.fail("build", "a function that returns a scene without friction", "one with friction")
         return jax.tree.map(checks.as_float, scene)
 
-    def _measured(self, parameters: Any, control: Scalar, contact: ContactState) -> Measurement:
+    def _measured(self, parameters: Any, control: Scalar, contact: ContactUnknowns) -> Measurement:
         x = jnp.asarray(parameters, dtype=float)
         problem = problem_in_space(self._scene(x))
         _, push = jax.linearize(lambda x: _numbers(problem_in_space(self._scene(x))), x)
@@ -157,7 +157,7 @@ class _Iteration(NamedTuple):
     jacobian: Float[Array, "whiskers 6 parameters"]
 
 
-def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contact: ContactState) -> Measurement:
+def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contact: ContactUnknowns) -> Measurement:
     n = contact.z.shape[0]
     parameters = jax.tree.leaves(by_parameter)[0].shape[-1]
 
@@ -185,7 +185,7 @@ def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contac
     )
     phase = phase_by_slack(end.z, contact.phase)
     return Measurement(
-        signals, jacobian, ContactState(jnp.where(ok, end.z, contact.z), jnp.where(ok, phase, contact.phase)), status
+        signals, jacobian, ContactUnknowns(jnp.where(ok, end.z, contact.z), jnp.where(ok, phase, contact.phase)), status
     )
 
 

@@ -25,7 +25,7 @@ LEAST_CHANGE, LARGEST_CHANGE = -0.7, 2.0  # of the other parameters, relative to
 SOLVED = 1e-7  # largest residual of the conditions
 
 
-class Signals(NamedTuple):
+class StepSignals(NamedTuple):
     """The signals of one step, dimensionless, sorted by what they show; every field (whiskers, ...)."""
 
     missing: Bool[Array, " whiskers"]
@@ -48,14 +48,14 @@ class Contacts(NamedTuple):
     covariance: Float[Array, "whiskers 4 4"]  # of contact x, y, slope and arc
 
 
-class Phase(NamedTuple):
+class PhaseCandidate(NamedTuple):
     """A candidate for the phase of a contact."""
 
     tip: Bool[Array | np.ndarray, "*phases"]
     angle: Float[Array | np.ndarray, "*phases"]  # from the object to the whisker, in tangential contact
 
 
-class State(NamedTuple):
+class WhiskerState(NamedTuple):
     """A whisker with certain parameters."""
 
     reaction: Float[Array, " reactions"]
@@ -67,7 +67,7 @@ class State(NamedTuple):
 class Observation(Protocol):
     """What the state of a whisker is estimated from, and the family of its states; dimensionless."""
 
-    phases: Phase
+    phases: PhaseCandidate
     conditions: int  # number of conditions
     steps: int  # of Gauss-Newton
     handicaps: Any  # of the phases: added to chi-squared for the decision, because some have more parameters
@@ -83,7 +83,7 @@ class Observation(Protocol):
         """1 / standard deviation of the reaction."""
         ...
 
-    def state(self, y: Float[Array, " n"], phase: Phase) -> State:
+    def state(self, y: Float[Array, " n"], phase: PhaseCandidate) -> WhiskerState:
         """The state with these parameters; its conditions need not hold."""
         ...
 
@@ -91,7 +91,7 @@ class Observation(Protocol):
         """Parameters to start from in each phase."""
         ...
 
-    def limits(self, phase: Phase) -> tuple[Scalar, Scalar]:
+    def limits(self, phase: PhaseCandidate) -> tuple[Scalar, Scalar]:
         """Least and largest `beyond`."""
         ...
 
@@ -104,14 +104,14 @@ class Estimate(NamedTuple):
     """The state of a whisker nearest to the observation."""
 
     y: Float[Array, " n"]
-    state: State
-    by_y: State  # its derivatives
-    phase: Phase
+    state: WhiskerState
+    by_y: WhiskerState  # its derivatives
+    phase: PhaseCandidate
     ok: Bool[Array, ""]  # whether the iteration converged in at least one phase
     chi2: Float[Array, ""]
     gradient: Float[Array, "rows n"]  # of the whitened residuals and the conditions
     other: Float[Array, " n"]  # the nearest state in the other phase
-    other_phase: Phase
+    other_phase: PhaseCandidate
     doubt: Scalar  # probability of the other phase
 
     def follows(self, residuals: Float[Array, "reactions k"]) -> Float[Array, "n k"]:
@@ -169,13 +169,13 @@ def value_and_jacobian(function: Callable, y: Float[Array, " n"]) -> tuple[Any, 
     return value, gradient
 
 
-def _whitened(state: State, by_y: State, observed: Observation):
+def _whitened(state: WhiskerState, by_y: WhiskerState, observed: Observation):
     """Whitened residuals of the reactions and the conditions, and their gradients."""
     residuals = jnp.concatenate([(state.reaction - observed.reaction) * observed.weight, state.conditions])
     return residuals, jnp.concatenate([by_y.reaction * observed.weight[:, None], by_y.conditions])
 
 
-def _linearised(y: Float[Array, " n"], phase: Phase, observed: Observation):
+def _linearised(y: Float[Array, " n"], phase: PhaseCandidate, observed: Observation):
     return _whitened(*value_and_jacobian(lambda y: observed.state(y, phase), y), observed)
 
 
@@ -186,7 +186,7 @@ def _kkt(gradient: Float[Array, "rows n"], reactions: int) -> Float[Array, "size
     return jnp.block([[normal, conditions.T], [conditions, jnp.zeros((len(conditions),) * 2)]])
 
 
-def _fit(observed: Observation, start: Float[Array, " n"], phase: Phase):
+def _fit(observed: Observation, start: Float[Array, " n"], phase: PhaseCandidate):
     """y of least chi-squared in one phase with its multipliers, chi-squared, and whether the iteration converged."""
     (least, largest), last, count = observed.limits(phase), start.size - 1, observed.reaction.size
 
@@ -211,7 +211,7 @@ def _fit(observed: Observation, start: Float[Array, " n"], phase: Phase):
     return found, chi2, (size < LAST_STEP) & solved & jnp.isfinite(chi2) & jnp.all(jnp.isfinite(found))
 
 
-def _stationarity(found: Float[Array, " size"], known: tuple[Phase, Observation]) -> Float[Array, " size"]:
+def _stationarity(found: Float[Array, " size"], known: tuple[PhaseCandidate, Observation]) -> Float[Array, " size"]:
     """Derivatives of half chi-squared plus multipliers times conditions, which vanish at the nearest state."""
     phase, observed = known
     count = observed.reaction.size

@@ -49,7 +49,7 @@ class Step(eqx.Module):
     covariance: Float[Array, "*steps whiskers 4 4"]  # of x, y, slope and arc
 
 
-class Vertex(NamedTuple):
+class VertexEstimates(NamedTuple):
     """Estimates of the object's lowest point, one per whisker, (whiskers,); NaN for a whisker that never passed it."""
 
     x: Float[np.ndarray, " whiskers"]
@@ -110,21 +110,21 @@ class Reconstruction(Step):
         return bar_ends(self.x, self.y, self.slope, NORMAL_95 * self.normal_error)
 
     @in_double
-    def vertex(self) -> Vertex:
+    def vertex(self) -> VertexEstimates:
         """Estimate the object's lowest point from the points near it, where the force is vertical.
 
         There x = x0 + radius t + O(t^2) and y = y0 + radius t^2 / 2 + O(t^3), with t = tan(slope). Two more powers are
         fitted. Points are weighted with their covariances; errors are NaN if these are unknown.
         """
         each = [self._vertex(k) for k in range(self.x.shape[1])]
-        return Vertex(*(np.array(values) for values in zip(*each, strict=True)))
+        return VertexEstimates(*(np.array(values) for values in zip(*each, strict=True)))
 
     def _vertex(self, k: int) -> tuple[float, ...]:
         x, y, slope, base_x = (np.asarray(v)[:, k] for v in (self.x, self.y, self.slope, self.base_x))
         near = (np.abs(np.tan(slope)) < NEAR_VERTEX) & self.clear[:, k]  # False where it is NaN
         t = np.tan(slope[near])
         if t.size < LEAST_POINTS or not t.min() < 0 < t.max():
-            return (np.nan,) * len(Vertex._fields)
+            return (np.nan,) * len(VertexEstimates._fields)
         spread = np.asarray(self.covariance)[near, k, :3, :3]
         cubic = np.stack([t**0, t, t**2, t**3], axis=1)
         (_, radius, *_), _ = _weighted_fit(x[near], (1.0, 0.0), 0 * t, cubic, spread)

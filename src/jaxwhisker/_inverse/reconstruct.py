@@ -24,7 +24,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._inverse.features import noise_of
 from jaxwhisker._inverse.inverse_held import HeldInstrument, held_instrument
 from jaxwhisker._inverse.inverse_rod import Instrument, instrument
-from jaxwhisker._inverse.nearest import Signals, rotated
+from jaxwhisker._inverse.nearest import StepSignals, rotated
 from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
@@ -359,4 +359,4 @@ def _sorted_signals(known: Instrument | HeldInstrument, threshold: float, drive,
     measured = jnp.where(missing[:, None], 0.0, reaction)
     fitted = jnp.where(touching[:, None], measured, PLACEHOLDER)
     weight = 1 / jnp.where(touching[:, None], deviation, 1.0)
-    return Signals(missing, touching, measured, deviation, fitted, weight, pose, lean), significance
+    return StepSignals(missing, touching, measured, deviation, fitted, weight, pose, lean), significance

@@ -108,7 +108,7 @@ def samples_of(
     )
 
 
-class Placed(NamedTuple):
+class PlacedSamples(NamedTuple):
     """Where signals are compared, and the residuals that do not depend on the signals."""
 
     control: Any  # (samples,) of the model
@@ -125,7 +125,7 @@ class Placed(NamedTuple):
         return [of_signals.ravel(), self.of_snaps, self.of_ends.ravel()]
 
 
-def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Placed:
+def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> PlacedSamples:
     """Choose the positions of the model that correspond to the samples, and compare its events with the observed ones.
 
     Args:
@@ -151,7 +151,7 @@ def place(shift: Scalar, start: Scalar, events: EventTable, data: Samples) -> Pl
     observed = jnp.stack([data.landmarks.touch, data.landmarks.release])
     wanted = data.control[0] + data.direction * jnp.nan_to_num(observed)
     off = jnp.where(ends.exists, start + data.direction * ends.travel - wanted, MISSING_EVENT)
-    return Placed(
+    return PlacedSamples(
         control=control,
         travel=jax.lax.stop_gradient(along),
         weight=jnp.where(left_out[:, None, None], 0.0, data.weight),
@@ -169,7 +169,7 @@ def _placed_and_slopes(
     data: Samples,
     shift_slopes: Float[Array, " directions"],
     event_slopes: Float[Array, "events directions"],
-) -> tuple[Placed, Placed]:
+) -> tuple[PlacedSamples, PlacedSamples]:
     """The result of `place` and its derivatives, which are None where they are zero."""
 
     def smooth(shift, control):
@@ -180,7 +180,7 @@ def _placed_and_slopes(
         return jax.jvp(smooth, (shift, events.control), dots, has_aux=True)
 
     _, by, placed = jax.vmap(towards, in_axes=-1, out_axes=(None, -1, None))(shift_slopes, event_slopes)
-    return placed, Placed(by[0], None, None, None, None, by[1], by[2])
+    return placed, PlacedSamples(by[0], None, None, None, None, by[1], by[2])
 
 
 placed_and_slopes_now = Program(_placed_and_slopes, quick=True)

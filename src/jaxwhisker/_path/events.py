@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.newton import Condensed, slip_by_contact, with_slip
 from jaxwhisker._equilibrium.point import Contacts, PathCondition
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
-from jaxwhisker._equilibrium.touch import Touch as FirstTouch
+from jaxwhisker._equilibrium.touch import TouchAlongX
 from jaxwhisker._path.path import STOP, EventKind
 
 RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
@@ -47,7 +47,7 @@ class Seen(NamedTuple):
     ends: Ends | None  # of the pieces on which contacts are; None without edges
 
 
-class Moving(NamedTuple):
+class PathDirection(NamedTuple):
     """A point of the path, and the direction there."""
 
     problem: Problem
@@ -87,7 +87,7 @@ class After(NamedTuple):
     parameters: PerWhisker | None  # of the profile at contacts; None without friction
 
 
-class Event(abc.ABC):
+class PathEvent(abc.ABC):
     """A kind of event."""
 
     kinds: ClassVar[tuple[int, ...]]  # EventKind or STOP; if there are two, the first one is that of a tip contact
@@ -105,7 +105,7 @@ class Event(abc.ABC):
     def margin(self, seen: Seen) -> Float[Array, "..."]:
         """Margins of all whiskers; of all objects and whiskers; or of the drive, with one element."""
 
-    def rate(self, moving: Moving) -> Float[Array, "..."]:
+    def rate(self, moving: PathDirection) -> Float[Array, "..."]:
         """Derivatives of the margins along the path; zero for events that are passed only once."""
         return jnp.zeros_like(moving.state.side)
 
@@ -113,7 +113,7 @@ class Event(abc.ABC):
         """Value of the contact's second number, parameter or lean, at which it happens."""
         del problem, z, ends
 
-    def piece(self, state: ContactState, first: FirstTouch) -> Int[Array, " whiskers"] | None:
+    def piece(self, state: ContactState, first: TouchAlongX) -> Int[Array, " whiskers"] | None:
         """The piece on which contacts are after it; None if that does not change."""
         del state, first
 
@@ -128,7 +128,7 @@ class Event(abc.ABC):
         return lead
 
 
-class Touch(Event):
+class Touch(PathEvent):
     """A contact begins. It is solved for as a contact without force."""
 
     kinds = (EventKind.touch,)
@@ -149,7 +149,7 @@ class Touch(Event):
         return z, state.begun(which, after.phase, after.side, after.piece)
 
 
-class Release(Event):
+class Release(PathEvent):
     """A contact ends, without force."""
 
     kinds = (EventKind.release,)
@@ -186,7 +186,7 @@ def _pulling(at: Condensed) -> tuple[Poses, PerWhisker]:
     return weight, jnp.zeros_like(by_x[:, 0]) if at.pose_by_u is None else -jnp.sum(weight * at.pose_by_u, axis=1)
 
 
-class PhaseChange(Event):
+class PhaseChange(PathEvent):
     """Tip contact becomes tangential, or the reverse."""
 
     kinds = (EventKind.tip_to_tangential, EventKind.tangential_to_tip)
@@ -207,7 +207,7 @@ class PhaseChange(Event):
         return z, state._replace(phase=jnp.where(which, other, state.phase))
 
 
-class Vertex(Event):
+class Vertex(PathEvent):
     """A contact passes the lowest point of the object."""
 
     kinds = (EventKind.vertex,)
@@ -218,7 +218,7 @@ class Vertex(Event):
         return jnp.where(seen.free, FAR, seen.ahead)
 
 
-class Stop(Event):
+class Stop(PathEvent):
     """The drive arrives at a stop."""
 
     kinds = (STOP,)
@@ -232,7 +232,7 @@ class Stop(Event):
         return jnp.zeros(1)
 
 
-class Slip(Event):
+class Slip(PathEvent):
     """With friction, a contact that stuck begins to slip: its force leans as far as friction lets it."""
 
     kinds = (EventKind.slip,)
@@ -264,7 +264,7 @@ class Slip(Event):
         return lead._replace(z=lead.z + jnp.where(which[:, None], slips, 0.0))
 
 
-class _Edge(Event):
+class _Edge(PathEvent):
     """A contact passes an end of its piece."""
 
     kinds = (EventKind.edge,)
@@ -305,7 +305,7 @@ class EdgeAbove(_Edge):
     leaves = (1.0, 1.0)
 
 
-Events = tuple[Event, ...]
+Events = tuple[PathEvent, ...]
 SMOOTH: Events = (Touch(), Release(), PhaseChange(), Vertex(), Stop())
 TOUCH, RELEASE, PHASE, VERTEX, AT_STOP = range(len(SMOOTH))  # their numbers in every tuple of events
 
@@ -328,7 +328,7 @@ def margins(seen: Seen) -> Margins:
     return tuple(event.margin(seen) for event in events_of(seen.problem))
 
 
-def margin_rates(moving: Moving) -> Margins:
+def margin_rates(moving: PathDirection) -> Margins:
     """Derivatives of the margins along the path."""
     return tuple(event.rate(moving) for event in events_of(moving.problem))
 
@@ -352,7 +352,7 @@ def facts_of(events: Events, number: Int[Array, ""], tip: Bool[Array, ""] | bool
     return Facts(row[:3], row[3], row[4], row[5] > 0, leaves, kind.astype(int))
 
 
-def _constants(event: Event) -> list[float]:
+def _constants(event: PathEvent) -> list[float]:
     by_phase = zip(event.leaves, (event.kinds[0], event.kinds[-1]), strict=True)
     own = [*event.of_contact, event.of_slope, event.of_control, event.continues]
     return [float(value) for value in [*own, *(value for phase in by_phase for value in phase)]]
@@ -365,7 +365,7 @@ def condition_of(facts: Facts, whiskers: Which, like: Contacts, limit: PerWhiske
         facts: the kind of event.
         whiskers: the whiskers that it concerns.
         like: contacts, of which only the shape is used.
-        limit: see `Event.limit`; None if no event has one.
+        limit: see `PathEvent.limit`; None if no event has one.
         u0: the control of a stop.
     """
     none, one = jnp.zeros_like(like), whiskers.astype(float)

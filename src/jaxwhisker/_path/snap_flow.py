@@ -197,7 +197,7 @@ def branch_known(flow: Flow) -> Bool[Array, " whiskers"]:
     return jnp.any(flow.basis[:, :, 0] != 0, axis=-1)
 
 
-class _Slip(NamedTuple):
+class _Jumps(NamedTuple):
     """Whiskers whose contact ends, begins, or passes a fold in a step of the flow."""
 
     slips: Bool[Array, " whiskers"]  # passes a fold
@@ -228,7 +228,7 @@ def _slip(
     at: Stance,
     condensed: Condensed,
     parameters: PerWhisker | None,
-) -> _Slip:
+) -> _Jumps:
     """Apply the snap rule above."""
     free, by_x = state.free, condensed.by_x
     slipping, holds = flow.sliding | flow.landing, on_stable_branch(problem, state, by_x)
@@ -244,9 +244,9 @@ def _slip(
     unbent = state.side * ((contact.x - base.x) * cos + (contact.y - base.y) * sin) <= 0
     lands = flow.sliding & (unbent | (z[:, FORCE] < 0))
     if state.sides is not None:
-        return _slip_among_objects(problem, state, state.sides, at, _Slip(slips, slips, ends, free, lands, holds))
+        return _slip_among_objects(problem, state, state.sides, at, _Jumps(slips, slips, ends, free, lands, holds))
     near = at.first(state.side)
-    return _Slip(
+    return _Jumps(
         slips=slips,
         slides=slips & ~at.clear,
         freed=ends | (slips & at.clear),
@@ -256,7 +256,7 @@ def _slip(
     )
 
 
-def _slip_among_objects(problem: Problem, state: ContactState, sides: PerObject, at: Stance, alone: _Slip) -> _Slip:
+def _slip_among_objects(problem: Problem, state: ContactState, sides: PerObject, at: Stance, alone: _Jumps) -> _Jumps:
     """Apply the snap rule to whiskers that may slip, come free or touch, if all objects let them."""
     near = at.first(sides)
     gap = jnp.where(near.reaches, sides * (at.x - near.x), jnp.inf)

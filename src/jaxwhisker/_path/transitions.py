@@ -26,7 +26,7 @@ from jaxwhisker._path.events import (
     Facts,
     Happened,
     Lead,
-    Moving,
+    PathDirection,
     events_of,
     margin_rates,
 )
@@ -188,7 +188,9 @@ def _reached(problem: Problem, march: MarchState, trial: Trial, z_before: Contac
     reach = jnp.sqrt(dot(chord, chord, scale))
     good = trial.solution.converged & (distance > -1e-9) & (reach <= 1.5 * march.step + 1e-9)
     # If the margin grows, the path comes back from beyond the event, and the event itself lies earlier on the path.
-    moving = Moving(problem, march.state, march.state.free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    moving = PathDirection(
+        problem, march.state, march.state.free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose
+    )
     touch, *others = margin_rates(moving)
     touch = touch if march.target.object is None else of_object(touch, march.target.object)
     growing = jnp.stack(jnp.broadcast_arrays(touch, *others))[march.target.number]

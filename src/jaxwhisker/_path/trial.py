@@ -23,7 +23,7 @@ from jaxwhisker._path.events import (
     RELEASE,
     TOUCH,
     Margins,
-    Moving,
+    PathDirection,
     Seen,
     events_of,
     limit_of,
@@ -176,8 +176,8 @@ def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> 
     """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
     now, then = _flat(trial.here), _flat(trial.there)
     free = march.state.free
-    start = Moving(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
-    end = Moving(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
+    start = PathDirection(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
+    end = PathDirection(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
     start, end = (distance * _flat(margin_rates(moving)) for moving in (start, end))
     t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
     within = Cubic(now, then, start, end).value(t)

@@ -100,7 +100,7 @@ class SpaceLoad(eqx.Module):
         return plus(cross(self.force, r), self.moment)
 
 
-class _Rod(eqx.Module):
+class _SpaceRod(eqx.Module):
     arc: Scalar
     load: SpaceLoad
     section: SpaceSection
@@ -120,7 +120,7 @@ def _divided(shifts: list[float], rotations: list[float]) -> tuple[list[float], 
     return before, after
 
 
-class _Stage(eqx.Module):
+class _SplittingStage(eqx.Module):
     """A shift and a rotation, as what changes of the state need of them."""
 
     length: Scalar  # of the shift, negative towards the base
@@ -145,7 +145,7 @@ class _Stage(eqx.Module):
 
 
 def _step(
-    state: SpaceState, change: Change | None, ends: tuple, rod: _Rod, load_change: SpaceLoad | None
+    state: SpaceState, change: Change | None, ends: tuple, rod: _SpaceRod, load_change: SpaceLoad | None
 ) -> tuple[SpaceState, Change | None]:
     """The state after a step, and its changes, if there are any, along a leading axis."""
     (t0, t1, between), load, section = ends, rod.load, rod.section
@@ -154,14 +154,14 @@ def _step(
     # The order conditions of the method with 11 rotations hold for uniform rods without twist only.
     shifts, rotations = METHODS[11 if section.uniform and excess is None else 10]
 
-    def shifted(state: SpaceState, fraction: Scalar, twist: Scalar | None) -> tuple[SpaceState, _Stage]:
+    def shifted(state: SpaceState, fraction: Scalar, twist: Scalar | None) -> tuple[SpaceState, _SplittingStage]:
         r, q = state
-        stage = _Stage(fraction * h, twist, plus(r, times(fraction * h, third_axis(q))), third_axis(q))
+        stage = _SplittingStage(fraction * h, twist, plus(r, times(fraction * h, third_axis(q))), third_axis(q))
         if twist is not None:
             q = product(q, small_rotation((None, None, twist * dot(load.moment_at(stage.r), stage.tangent))))
         return (stage.r, q), stage
 
-    def through(stage: _Stage, change: Change | None) -> Change | None:
+    def through(stage: _SplittingStage, change: Change | None) -> Change | None:
         if change is None:
             return None
         return jax.vmap(lambda change, load_change: stage.change(change, load, load_change))(change, load_change)
@@ -189,7 +189,7 @@ def _step(
 
 def _march(
     start: SpaceState,
-    rod: _Rod,
+    rod: _SpaceRod,
     at: Float[Array, " times"],
     *,
     keep: bool = False,
@@ -226,7 +226,7 @@ def integrate(
         from_base: arc length from the base to the loaded point.
     """
     at = step_ends(arc, section.in_plane, steps=steps, from_base=from_base)
-    return _march(start, _Rod(arc, load, section, from_base), at)[0]
+    return _march(start, _SpaceRod(arc, load, section, from_base), at)[0]
 
 
 def with_changes(
@@ -241,7 +241,7 @@ def with_changes(
 ) -> tuple[SpaceState, Change]:
     """The state that `integrate` returns and its changes, from several changes of the start and of the load."""
     at = step_ends(arc, section.in_plane, steps=steps, from_base=from_base)
-    end, change, _ = _march(start, _Rod(arc, load, section, from_base), at, changes=changes)
+    end, change, _ = _march(start, _SpaceRod(arc, load, section, from_base), at, changes=changes)
     assert change is not None
     return end, change
 
@@ -250,7 +250,7 @@ def points(
     start: SpaceState, arc: Scalar, load: SpaceLoad, section: SpaceSection, *, at: Along, from_base: Scalar
 ) -> SpaceState:
     """States at the fractions `at` of an arc towards the base, which begin with 0; see `integrate`."""
-    states = _march(start, _Rod(arc, load, section, from_base), at, keep=True)[2]
+    states = _march(start, _SpaceRod(arc, load, section, from_base), at, keep=True)[2]
     assert states is not None
     return states
 

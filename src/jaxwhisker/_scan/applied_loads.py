@@ -27,7 +27,7 @@ class Loads(eqx.Module):
     position: Float[Array, "*loads"]
 
 
-class Line(eqx.Module):
+class ScaledLineLoad(eqx.Module):
     """A distributed load, with its ends in lengths of the whisker."""
 
     load: LineLoad
@@ -87,7 +87,7 @@ def sorted_loads(whisker: Whisker, loads: Given) -> Loads:
     return Loads(*columns[:, jnp.argsort(-columns[-1])])
 
 
-def lines_of(whisker: Whisker, loads: Given) -> tuple[Line, ...]:
+def lines_of(whisker: Whisker, loads: Given) -> tuple[ScaledLineLoad, ...]:
     """Dimensionless distributed loads, in the units of the whisker."""
     length, stiffness = whisker.length, whisker.base_stiffness
     lines = []
@@ -95,11 +95,11 @@ def lines_of(whisker: Whisker, loads: Given) -> tuple[Line, ...]:
         if isinstance(load, LineLoad):
             stop = jnp.ones(()) if load.stop is None else jnp.asarray(load.stop / length, dtype=float)
             start = jnp.asarray(load.start / length, dtype=float)
-            lines.append(Line(load, start, stop, length, stiffness / length**3))
+            lines.append(ScaledLineLoad(load, start, stop, length, stiffness / length**3))
     return tuple(lines)
 
 
-def density_of(lines: tuple[Line, ...], start: Scalar, stop: Scalar, factor: Scalar = 1.0) -> Density | None:
+def density_of(lines: tuple[ScaledLineLoad, ...], start: Scalar, stop: Scalar, factor: Scalar = 1.0) -> Density | None:
     """Force per length of `factor` times all line loads between two arc lengths; None without any."""
 
     def density(x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:

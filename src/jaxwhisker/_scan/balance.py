@@ -29,7 +29,7 @@ from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.panels import POINTS, Ends, Panel
+from jaxwhisker._scan.panels import POINTS, Panel, PanelEnds
 from jaxwhisker._scan.plane import Plane, problem_now
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import route_through
@@ -223,7 +223,7 @@ def _before(table: Table, good: Bool[Array, " panels"]) -> Before:
 
 def _at_steps(
     scene: Scene,
-    ends: Ends,
+    ends: PanelEnds,
     table: Table,
     before: Before,
     control: Float[Array, " steps"],

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Slip(NamedInt):
+class SlipDirection(NamedInt):
     """Direction of slip along the object."""
 
     backwards = -1  # towards -x
@@ -56,7 +56,7 @@ FLAGS: dict[str, tuple[type[NamedInt], str | None]] = {
     "phase": (Phase, None),
     "status": (Status, "not_computed"),
     "event_kind": (EventKind, "none"),
-    "slip": (Slip, None),
+    "slip": (SlipDirection, None),
 }
 
 SIGNS = (

@@ -26,7 +26,7 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._scan.applied_loads import Given, Line, Loads, density_of, lines_of, sorted_loads, with_load
+from jaxwhisker._scan.applied_loads import Given, Loads, ScaledLineLoad, density_of, lines_of, sorted_loads, with_load
 
 ROD_STEPS = 32  # of the rod between two places
 CHECKED = 17  # points on a stretch at which stability is checked
@@ -38,7 +38,7 @@ class LoadedRod(eqx.Module):
     """The dimensionless equations of one whisker, its loads and its support."""
 
     loads: Loads
-    lines: tuple[Line, ...]
+    lines: tuple[ScaledLineLoad, ...]
     section: Section | None  # None for a uniform whisker
     rest: Float[Array, "3"]  # pose (x, y, angle to the upright) of the unloaded base
     compliance: Float[Array, "3"]  # of the base to forces and moment; zero for a clamp

@@ -43,7 +43,7 @@ _COEFFICIENTS = _VALUES * _WEIGHTS * (2 * np.arange(POINTS)[:, None] + 1)  # tim
 _SLOPES = 2 * np.stack(_legendre_slopes(list(_VALUES)), axis=1) @ _COEFFICIENTS
 
 
-class Ends(NamedTuple):
+class PanelEnds(NamedTuple):
     """Ends of the panels in order; the last one is repeated as padding. Panel k lies between ends k and k + 1."""
 
     control: Float[Array, " ends"]  # in the scene's units, like travel
@@ -56,7 +56,7 @@ class Ends(NamedTuple):
     noise: Float[Array, ""]  # travels that differ by less are taken as equal
 
 
-def ends_of(problem: Problem, path: Path) -> Ends:
+def ends_of(problem: Problem, path: Path) -> PanelEnds:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
     room = nodes.kind.shape[0]
@@ -88,7 +88,7 @@ def ends_of(problem: Problem, path: Path) -> Ends:
     place = jnp.where(first, follows, index)[at]
     travel = nodes.travel[at] * unit
     noise = TRAVEL_NOISE * (unit + jnp.maximum(travel[-1], 0.0))
-    return Ends(control[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
+    return PanelEnds(control[at] * unit, travel, slopes, place, number[at], stop[at], jnp.sum(kept) - 1, noise)
 
 
 def _distance(a: Point, b: Point) -> Float[Array, ""]:
@@ -126,7 +126,7 @@ ends_now = Program(ends_of, frozen=True)
 
 
 def with_slopes(
-    ends: Ends, problem: Problem, path: Path, events: Events, stops: Float[Array, " stops"]
+    ends: PanelEnds, problem: Problem, path: Path, events: Events, stops: Float[Array, " stops"]
 ) -> Float[Array, " ends"]:
     """Controls of the ends, with their derivatives: events and stops move, other nodes stay where they are."""
     control = jnp.asarray(path.nodes.point.u)[ends.node] * problem.unit.control
@@ -158,7 +158,7 @@ class Panel(NamedTuple):
         return self.travel[..., 1] - self.travel[..., 0] > 8 * self.noise
 
 
-def panels_of(ends: Ends) -> Panel:
+def panels_of(ends: PanelEnds) -> Panel:
     """All panels between the ends."""
     both = jnp.stack([ends.travel[:-1], ends.travel[1:]], axis=-1)
     noise = jnp.full_like(both[:, 0], ends.noise)

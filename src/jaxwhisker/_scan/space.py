@@ -24,13 +24,13 @@ from jaxwhisker._scan.space_signals import event_room, sides_of_events, signals,
 from jaxwhisker._scan.steps import interpolate, is_near
 from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.contact import ROLL
-from jaxwhisker._space.history import Followed, Linked, contacts_within, interpolated, linked, stages_before
+from jaxwhisker._space.history import Followed, LinkedNodes, contacts_within, interpolated, linked, stages_before
 from jaxwhisker._space.march import capacity_of, march
-from jaxwhisker._space.march_state import Node, SpacePath
+from jaxwhisker._space.march_state import SpaceNode, SpacePath
 from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
 from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, problem_in_space
 from jaxwhisker._space.shape import touches_twice, until_second_contact
-from jaxwhisker._space.slip import Mode, following
+from jaxwhisker._space.slip import SlipMode, following
 
 BLOCK = 256  # steps computed by one call; each takes longer than in the plane
 LANES = 16  # of a batch that run together: a block takes as long as its slowest lane
@@ -95,7 +95,7 @@ class Space(Mechanics):
     @staticmethod
     def prepare(
         pool: Executor, scene: SpaceScene, problem: SpaceProblem, stops: int
-    ) -> tuple[SpacePath, Linked | None]:
+    ) -> tuple[SpacePath, LinkedNodes | None]:
         ends = np.zeros(stops), np.asarray(0)
         path = follow_path_now.prepare(pool, problem, *ends).path
         return path, None if problem.friction is None else memory_now.prepare(pool, Space, problem, path, ends[0])
@@ -109,15 +109,15 @@ class Space(Mechanics):
         return path.nodes.phase
 
     @staticmethod
-    def memory(problem: SpaceProblem, path: SpacePath, stops: Any) -> Linked | None:
+    def memory(problem: SpaceProblem, path: SpacePath, stops: Any) -> LinkedNodes | None:
         return None if problem.friction is None else memory_now(Space, problem, path, stops)
 
     @staticmethod
-    def remember(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> Linked:
+    def remember(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> LinkedNodes:
         return linked(problem, path, stops)
 
     @staticmethod
-    def remembered(memory: Linked | None, path: SpacePath, solutions: Solutions) -> Within | None:
+    def remembered(memory: LinkedNodes | None, path: SpacePath, solutions: Solutions) -> Within | None:
         if memory is None or path.nodes.mode is None:
             return None
         node, end = solutions.node, jnp.minimum(solutions.node + 1, path.count - 1)
@@ -142,7 +142,7 @@ class Space(Mechanics):
             within = interpolated(at.start, at.stages, at.before, found.state, u)
             within = jnp.where((found.state != Phase.free)[:, None], within, found.z)
             z = contacts_within(Followed(problem, u, found.state, at.mode, within), found.z)
-            return signals(problem, z, u, found.state, at.mode == Mode.slips)
+            return signals(problem, z, u, found.state, at.mode == SlipMode.slips)
 
         if remembered is None:
             return jax.vmap(one)(u, solutions.z, solutions.state)
@@ -169,7 +169,7 @@ class Space(Mechanics):
         return signals(problem, *side)
 
     @staticmethod
-    def event_nodes(path: SpacePath) -> Node:
+    def event_nodes(path: SpacePath) -> SpaceNode:
         return with_turns(path)
 
     @staticmethod
@@ -183,7 +183,7 @@ class Space(Mechanics):
         return control, (nodes.phase_before[at] != Phase.free) & (nodes.phase[at] == Phase.free)
 
     @staticmethod
-    def at_nodes(memory: Linked | None, at: Any) -> Any:
+    def at_nodes(memory: LinkedNodes | None, at: Any) -> Any:
         return None if memory is None or at is None else jax.tree.map(lambda leaf: leaf[at], memory)
 
 

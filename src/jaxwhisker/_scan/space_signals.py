@@ -13,13 +13,13 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import STOP, EventKind
 from jaxwhisker._scan.mechanics import EventSides
 from jaxwhisker._scan.space_result import SpaceState
-from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, Base, angle_and_arc
-from jaxwhisker._space.history import Linked
-from jaxwhisker._space.march_state import Node, SpacePath
+from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, SpaceBase, angle_and_arc
+from jaxwhisker._space.history import LinkedNodes
+from jaxwhisker._space.march_state import SpaceNode, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 from jaxwhisker._space.residuals import residuals
-from jaxwhisker._space.slip import Mode
+from jaxwhisker._space.slip import SlipMode
 from jaxwhisker._space.stance import base_placement
 
 EVENTS = 32  # events of one whisker that a scan has room for
@@ -39,7 +39,7 @@ class Known(NamedTuple):
     free: Contacts  # values of free whiskers
 
 
-class Signals(NamedTuple):
+class SpaceSignals(NamedTuple):
     """An equilibrium in the scene's units, and its largest residual."""
 
     state: SpaceState
@@ -49,7 +49,7 @@ class Signals(NamedTuple):
 
 def signals(
     problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, slips: Bool[Array, " whiskers"] | None = None
-) -> Signals:
+) -> SpaceSignals:
     """State of an equilibrium, and what is known besides; with friction, `slips` tells which contacts slip."""
     unit, touching = problem.unit, phase != Phase.free
     drive = problem.drive(u)
@@ -85,7 +85,7 @@ def signals(
     displacement = None
     if problem.springs is not None:
         displacement = jnp.concatenate([pose[:, :3] * unit.length, pose[:, 3:]], axis=1)
-    return Signals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
+    return SpaceSignals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
 
 
 def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
@@ -95,7 +95,9 @@ def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
     return z[:, FORCE] * jnp.sqrt(1 + problem.friction**2 * jnp.sum(z[:, TRACTION] ** 2, axis=1))
 
 
-def _friction(problem: SpaceProblem, z: Contacts, base: Base, slips: Array, if_touching: Callable) -> dict[str, Array]:
+def _friction(
+    problem: SpaceProblem, z: Contacts, base: SpaceBase, slips: Array, if_touching: Callable
+) -> dict[str, Array]:
     """Fields of a state with friction."""
     normal = jax.vmap(problem.surface.normal)(z[:, POINT])
     along = if_touching(base.force - z[:, FORCE, None] * normal) * problem.unit.force
@@ -133,14 +135,14 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def with_turns(path: SpacePath) -> Node:
+def with_turns(path: SpacePath) -> SpaceNode:
     """The nodes of a path; with friction, contacts that slip stick where the drive turns."""
     nodes = path.nodes
     if nodes.mode is None:
         return nodes
     onwards = jnp.concatenate([nodes.mode[1:], nodes.mode[-1:]])
-    onwards = jnp.where((jnp.arange(nodes.kind.size) < path.count - 1)[:, None], onwards, int(Mode.slips))
-    stick = (nodes.mode == Mode.slips) & (onwards == Mode.sticks) & (nodes.phase != Phase.free)
+    onwards = jnp.where((jnp.arange(nodes.kind.size) < path.count - 1)[:, None], onwards, int(SlipMode.slips))
+    stick = (nodes.mode == SlipMode.slips) & (onwards == SlipMode.sticks) & (nodes.phase != Phase.free)
     stick &= (nodes.kind == STOP)[:, None]
     kind = jnp.where(jnp.any(stick, axis=1), int(EventKind.stick), nodes.kind)
     return nodes._replace(kind=kind, whiskers=nodes.whiskers | stick)
@@ -156,7 +158,7 @@ class Side(NamedTuple):
 
 
 def sides_of_events(
-    problem: SpaceProblem, path: SpacePath, links: Linked | None, at: Int[Array, " events"], filled: Array
+    problem: SpaceProblem, path: SpacePath, links: LinkedNodes | None, at: Int[Array, " events"], filled: Array
 ) -> EventSides:
     """Equilibria before and after the events at these nodes; free whiskers where there is no event."""
     nodes = with_turns(path)
@@ -170,11 +172,11 @@ def sides_of_events(
     return EventSides(jnp.asarray(control), before, after)
 
 
-def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
+def _linked_event(nodes: SpaceNode, links: LinkedNodes, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event with friction, and the equilibria before and after it."""
     assert nodes.mode is not None
     before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.phase_before, nodes.phase))
-    modes = (nodes.mode[j] == Mode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
+    modes = (nodes.mode[j] == SlipMode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
     u, contacts = jnp.asarray(links.point.u)[k], (links.stages.z[k, -1], links.point.z[k])
     of_before, of_after = (
         Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True)
@@ -182,7 +184,7 @@ def _linked_event(nodes: Node, links: Linked, k: Scalar, filled: Array) -> tuple
     return u, of_before, of_after
 
 
-def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, Side, Side]:
+def _event(problem: SpaceProblem, node: SpaceNode, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event, and the equilibria before and after it, with derivatives."""
     touch, concerned = node.kind == EventKind.touch, node.whiskers[:, None]
     released = node.kind == EventKind.release

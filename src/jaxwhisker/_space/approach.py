@@ -20,23 +20,23 @@ HIGHEST_FORCE = 100.0  # EI/L^2 on every base, and the moment in EI/L; forces be
 DISTANCES = tuple(2.0**k for k in range(8))  # lengths
 
 
-class Limits(NamedTuple):
+class SpaceLimits(NamedTuple):
     """Controls at which a scan right across the object begins and ends."""
 
     start: Float[Array, ""]
     far: Float[Array, ""]
 
 
-def limits_of(problem: SpaceProblem, first_stop: Float[Array, ""]) -> Limits:
+def limits_of(problem: SpaceProblem, first_stop: Float[Array, ""]) -> SpaceLimits:
     """The limits of a scan to a first stop, or right across the object if that is NaN."""
     whole = jnp.isnan(first_stop)
     if problem.ends is not None:
         first, last = problem.ends
         late = problem.onwards * (first_stop - first) > 0
-        return Limits(jnp.where(whole | late, first, first_stop), last)
+        return SpaceLimits(jnp.where(whole | late, first, first_stop), last)
     middle = jnp.where(whole, _beside(problem), first_stop)
     ways, reach = problem.onwards * jnp.array([-1, 1]), jnp.stack([jnp.zeros(()), _reach(problem)])
-    return Limits(*jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, ways, reach))
+    return SpaceLimits(*jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, ways, reach))
 
 
 def _reach(problem: SpaceProblem) -> Float[Array, ""]:
@@ -71,7 +71,7 @@ def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array, least: Arr
 
 
 def crop(
-    problem: SpaceProblem, path: SpacePath, limits: Limits, whole: Array
+    problem: SpaceProblem, path: SpacePath, limits: SpaceLimits, whole: Array
 ) -> tuple[SpacePath, Float[Array, ""], Float[Array, ""]]:
     """The path, and the first and last control at which whiskers touch on it, with a margin."""
     nodes = path.nodes

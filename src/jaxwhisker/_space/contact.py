@@ -42,7 +42,7 @@ Vector = Float[Array, "3"]
 Contact = Float[Array, "11"]
 
 
-class Body(NamedTuple):
+class SpaceWhisker(NamedTuple):
     """A whisker, as the equations see it."""
 
     length: Scalar
@@ -51,7 +51,7 @@ class Body(NamedTuple):
     mount: Placement  # in the frame of the drive
 
 
-class Base(NamedTuple):
+class SpaceBase(NamedTuple):
     """The base that belongs to a contact, in the frame of the scene."""
 
     position: Vector
@@ -80,7 +80,7 @@ class InDrive(NamedTuple):
     upright: Bool[Array, ""]  # whether the tangent points the way that the mount gives it
 
 
-def angle_and_arc(body: Body, z: Contact, phase: Int[Array, ""]) -> tuple[Scalar, Scalar]:
+def angle_and_arc(body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> tuple[Scalar, Scalar]:
     """Angle between whisker and surface at the contact, and arc length from the base to the contact."""
     tip, slack = phase == Phase.tip, z[SLACK]
     return jnp.where(tip, -slack, 0.0), jnp.where(tip, body.length, body.length - slack)
@@ -95,14 +95,14 @@ def frame_of(surface: AbstractSurface, z: Contact) -> Float[Array, "3 3"]:
 
 
 def base_of(
-    body: Body,
+    body: SpaceWhisker,
     surface: AbstractSurface,
     method: AbstractRod,
     z: Contact,
     phase: Int[Array, ""],
     traction: Traction | None,
     rates: AbstractRod | None = None,
-) -> Base:
+) -> SpaceBase:
     """The base of a whisker in contact.
 
     Args:
@@ -132,7 +132,7 @@ def base_of(
             x, y, cos, sin = uneven_rod_end(force, arc, chi, body.section, method, rates)
         from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
     push = force * out
-    return Base(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
+    return SpaceBase(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
 
 
 class Loaded(NamedTuple):
@@ -146,7 +146,7 @@ class Loaded(NamedTuple):
 
 
 def loaded(
-    body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, ""], traction: Traction | None
+    body: SpaceWhisker, surface: AbstractSurface, z: Contact, phase: Int[Array, ""], traction: Traction | None
 ) -> Loaded:
     """How a contact loads its rod."""
     chi, arc = angle_and_arc(body, z, phase)
@@ -176,7 +176,7 @@ def _frame_of_force(frame, force, chi, roll, along, traction: Traction):
     return jnp.stack([forwards, sideways, outwards], axis=1), unit * size, jnp.arctan2(-sine, flat), roll
 
 
-def in_drive(base: Base, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:
+def in_drive(base: SpaceBase, drive: Placement, mount: Placement, roll: Scalar) -> InDrive:
     """Coordinates of a base and load on it, in the frame of the drive."""
     back = drive.rotation.T
     at = _turned(back, base.position - drive.position) - mount.position
@@ -200,7 +200,7 @@ def on_surface(surface: AbstractSurface, z: Contact) -> Vector:
     ])  # fmt: skip
 
 
-def spread(body: Body, surface: AbstractSurface, z: Contact, phase: Int[Array, ""]) -> Scalar:
+def spread(body: SpaceWhisker, surface: AbstractSurface, z: Contact, phase: Int[Array, ""]) -> Scalar:
     """How fast whisker and surface part on both sides of a tangential contact: g_ss, a curvature.
 
     Where it is not positive, the shaft curves more than the object, and one contact point becomes two. A tip that

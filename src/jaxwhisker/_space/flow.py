@@ -15,11 +15,11 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, along
 from jaxwhisker._path.path import EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, POINT, TRACTION
-from jaxwhisker._space.march_state import SETTLED, SNAP, Flow, March, Outcome, Task, Trial, node_at
+from jaxwhisker._space.march_state import SETTLED, SNAP, March, Outcome, SpaceFlow, SpaceTask, SpaceTrial, node_at
 from jaxwhisker._space.newton import phase_by_slack
 from jaxwhisker._space.problem import Contacts, SpaceProblem
-from jaxwhisker._space.slip import FAINT, Mode, with_traction
-from jaxwhisker._space.stance import Stance
+from jaxwhisker._space.slip import FAINT, SlipMode, with_traction
+from jaxwhisker._space.stance import SpaceStance
 
 KICK = 0.02  # along the path, from a fold
 SHARE = 0.2  # of the least force, that the kick may be with friction: light contacts slide very little
@@ -64,9 +64,9 @@ def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> Mar
         traction = z[:, TRACTION] / jnp.maximum(1.0, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1, keepdims=True)))
         z = z.at[:, TRACTION].set(problem.friction * jnp.maximum(z[:, FORCE, None], 0.0) * traction)
     nobody = jnp.zeros_like(march.flow.clings)
-    flow = Flow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
+    flow = SpaceFlow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
     return march._replace(
-        task=jnp.asarray(int(Task.flow)),
+        task=jnp.asarray(int(SpaceTask.flow)),
         point=Point(z, u),
         flow=flow,
         pending=node_at(march, march.point._replace(u=u), march.tangent),
@@ -76,7 +76,7 @@ def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> Mar
 def clinging(march: March, whiskers: Bool[Array, " whiskers"]) -> March:
     """The state in which these whiskers, which have come free inside the object, slide on."""
     return march._replace(
-        task=jnp.asarray(int(Task.flow)),
+        task=jnp.asarray(int(SpaceTask.flow)),
         phase=phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase)),
         flow=march.flow._replace(clings=march.flow.clings | whiskers),
     )
@@ -86,7 +86,7 @@ def _let_go(march: March, light: Bool[Array, " whiskers"]) -> March:
     """The state in which contacts come free that are too light to be followed."""
     phase = jnp.where(light, int(Phase.free), march.phase)
     return march._replace(
-        task=jnp.asarray(int(Task.arrive)),
+        task=jnp.asarray(int(SpaceTask.arrive)),
         phase=phase,
         point=march.point._replace(z=march.flow.start),
         sunk=light,
@@ -95,14 +95,14 @@ def _let_go(march: March, light: Bool[Array, " whiskers"]) -> March:
     )
 
 
-def at_surface(stance: Stance, sunk: Bool[Array, " whiskers"]) -> Stance:
+def at_surface(stance: SpaceStance, sunk: Bool[Array, " whiskers"]) -> SpaceStance:
     """The stance in which whiskers that leave the object, but are still a little inside, are at its surface."""
     distance = stance.nearest.distance
     inside = sunk & (distance < 0) & (distance > -2 * SUNK)
     return stance._replace(nearest=stance.nearest._replace(distance=jnp.where(inside, 0.0, distance)))
 
 
-def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
+def after_flow(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcome:
     """Handle a time step in which contacts slide."""
     z, before, time = trial.point.z, march.point.z, march.flow.time
     moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
@@ -133,9 +133,9 @@ def after_flow(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         kind = jnp.where(jnp.any(moved & touching), kind, SETTLED)
         largest = problem.friction * jnp.maximum(z[:, FORCE], FAINT)
         resting = traction / jnp.maximum(largest, jnp.sqrt(jnp.sum(traction**2, axis=1)))[:, None]
-        slip = slip._replace(mode=jnp.full_like(slip.mode, int(Mode.sticks)), changes=jnp.asarray(0))
+        slip = slip._replace(mode=jnp.full_like(slip.mode, int(SlipMode.sticks)), changes=jnp.asarray(0))
     rested = march._replace(
-        task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
+        task=jnp.where(rests, int(SpaceTask.arrive), int(SpaceTask.flow)),
         phase=phase,
         # Whiskers that have come free may have to slide on.
         point=with_traction(Point(z, march.point.u), jnp.where(settles[:, None], resting, traction)),

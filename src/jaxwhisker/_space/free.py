@@ -22,7 +22,7 @@ INTERVALS = 32  # of a whisker, at whose ends the distance is computed
 FINER, ROUNDS = 16, 5  # the interval around the least distance is divided so often; positions along it to 1e-7
 
 
-class Outline(NamedTuple):
+class SpaceOutline(NamedTuple):
     """Shape of an unloaded whisker in the frame of its mount, at equidistant points from base to tip."""
 
     position: Float[Array, "points 3"]
@@ -37,14 +37,14 @@ class Nearest(NamedTuple):
     phase: Int[Array, ""]
 
 
-def in_scene(outline: Outline, base: Placement) -> Outline:
+def in_scene(outline: SpaceOutline, base: Placement) -> SpaceOutline:
     """The outline of a whisker whose mount is placed in the scene."""
     rotation = base.rotation
     position = base.position + jnp.sum(rotation * outline.position[:, None, :], axis=-1)
-    return Outline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
+    return SpaceOutline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
 
 
-def nearest(surface: AbstractSurface, outline: Outline, length: Scalar, *, rolls: bool) -> Nearest:
+def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, rolls: bool) -> Nearest:
     """The point of a whisker, placed in the scene, that is nearest to the surface.
 
     `rolls` tells whether the roll of its contact is an unknown.

@@ -17,14 +17,14 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, at_arc_length
 from jaxwhisker._path.path import STOP, EventKind
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION, UNKNOWNS
-from jaxwhisker._space.march_state import SETTLED, Node, SpacePath
+from jaxwhisker._space.march_state import SETTLED, SpaceNode, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
-from jaxwhisker._space.slip import FOLLOWING, Mode, laws, radau, stages_of, without_traction
+from jaxwhisker._space.slip import FOLLOWING, SlipMode, laws, radau, stages_of, without_traction
 
 
-class Step(NamedTuple):
+class PathStep(NamedTuple):
     """A step along a path: what its stages follow from."""
 
     problem: SpaceProblem
@@ -33,27 +33,27 @@ class Step(NamedTuple):
     mode: Phases
     measure: PathCondition  # of how far a stage is from the start
     condition: PathCondition  # of the end
-    cone: Float[Array, " whiskers"]  # weights in the condition, as in slip.Motion
+    cone: Float[Array, " whiskers"]  # weights in the condition, as in slip.ContactMotion
     power: Float[Array, " whiskers"]
     known: Point  # the stages: values of free whiskers, and of all if there is nothing to solve
     active: Bool[Array, ""]
 
 
-def stages_after(step: Step) -> Point:
+def stages_after(step: PathStep) -> Point:
     """The stages of a step, with their derivatives."""
     z, u = jax.lax.stop_gradient(step.known)
     unknowns = solution_of(_equations, jnp.append(jnp.ravel(z), u), step)
     return Point(jnp.reshape(unknowns[: z.size], z.shape), unknowns[z.size :])
 
 
-def _equations(unknowns: Float[Array, " n"], step: Step) -> Float[Array, " n"]:
+def _equations(unknowns: Float[Array, " n"], step: PathStep) -> Float[Array, " n"]:
     problem, start, phase = step.problem, step.start, step.phase
     stages, n = phase.shape
     z, u = jnp.reshape(unknowns[:-stages], (stages, n, UNKNOWNS)), unknowns[-stages:]
     touching = (phase != Phase.free)[:, :, None]
     # A whisker that touches at the end of a step has no history: its traction is given.
     begins = (phase[-1] != Phase.free) & (phase[0] == Phase.free)
-    mode = jnp.where(begins, int(Mode.waits), step.mode)
+    mode = jnp.where(begins, int(SlipMode.waits), step.mode)
     own, _, _ = jax.vmap(lambda *at: residuals(problem, *at))(z, u, phase, step.known.z)
     law, moves = laws(problem.surface, z, start.z, phase, mode, step.known.z[-1, :, TRACTION])
     own = own.at[:, :, TRACTION].set(jnp.where(touching, law, own[:, :, TRACTION]))
@@ -126,21 +126,21 @@ def interpolated(start: Point, stages: Point, before: Phases, phase: Phases, u: 
     return jnp.where((phase != Phase.free)[:, None], z, start.z)
 
 
-def stages_before(nodes: Node, end: Int[Array, ""]) -> Point:
+def stages_before(nodes: SpaceNode, end: Int[Array, ""]) -> Point:
     """The stages of the step that ends at a node."""
     assert nodes.inner is not None
     inner, z, u = jax.tree.map(lambda leaf: leaf[end], (nodes.inner, nodes.z_before, nodes.point.u))
     return Point(jnp.concatenate([inner.z, z[None]]), jnp.append(inner.u, u))
 
 
-class Linked(NamedTuple):
+class LinkedNodes(NamedTuple):
     """Nodes of a path, with derivatives; fields (nodes, ...)."""
 
     point: Point
     stages: Point  # of the steps that end there, fields (nodes, stages, ...)
 
 
-def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> Linked:
+def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> LinkedNodes:
     """The nodes of a path with friction, with their derivatives by everything, the stops of the drive included.
 
     The contacts that come to rest after a loss of stability have no derivatives.
@@ -155,7 +155,7 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
     @jax.checkpoint  # otherwise all that the derivatives of a node need is kept, and filled with zeros for padding
     def link(start: Point, at):
         node, before, stop, follows = at
-        rest = Linked(node.point, Point(*(jnp.stack([leaf] * stages) for leaf in node.point)))
+        rest = LinkedNodes(node.point, Point(*(jnp.stack([leaf] * stages) for leaf in node.point)))
         # Padding costs nothing.
         end = jax.lax.cond(follows, lambda: _node_after(problem, start, before, node, stop, follows), lambda: rest)
         return end.point, end
@@ -169,7 +169,9 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
     return links
 
 
-def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, stop: Scalar, follows: Array) -> Linked:
+def _node_after(
+    problem: SpaceProblem, start: Point, before: SpaceNode, node: SpaceNode, stop: Scalar, follows: Array
+) -> LinkedNodes:
     """A node, with derivatives, from those of the node before."""
     assert node.mode is not None and node.inner is not None
     kind, concerned = node.kind, node.whiskers.astype(float)
@@ -195,7 +197,7 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
         jnp.zeros_like(concerned),
     )
     cone, power = (jnp.where(kind == of, concerned, 0.0) for of in (EventKind.slip, EventKind.stick))
-    step = Step(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
+    step = PathStep(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
     stages = stages_after(step)
     z, u = jax.tree.map(lambda leaf: leaf[-1], stages)
     z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, jnp.where(kind == SETTLED, node.point.u, start.u), u)
@@ -204,4 +206,4 @@ def _node_after(problem: SpaceProblem, start: Point, before: Node, node: Node, s
     after = jnp.where((node.phase == Phase.free)[:, None], node.point.z, after)
     rests = snaps & jnp.any(node.phase != Phase.free)
     end = Point(without_rule(after, (problem, start), rests), u)
-    return Linked(end, stages._replace(z=stages.z.at[-1].set(jnp.where(begins[:, None], node.z_before, z))))
+    return LinkedNodes(end, stages._replace(z=stages.z.at[-1].set(jnp.where(begins[:, None], node.z_before, z))))

@@ -21,7 +21,7 @@ from jaxwhisker._space.contact import (
     SLACK,
     TRACTION,
     UNKNOWNS,
-    Body,
+    SpaceWhisker,
     Traction,
     base_of,
     frame_of,
@@ -67,7 +67,7 @@ def directions_of(z: Array, frame: Array, curvature: Array, *, rolls: bool) -> l
 
 def linearise(
     problem: SpaceProblem,
-    body: Body,
+    body: SpaceWhisker,
     drives: tuple[Placement, Placement],
     z: Float[Array, "11"],
     phase: Int[Array, ""],

@@ -87,7 +87,7 @@ def _rotation(vector: Top) -> Quaternion:
     return q
 
 
-class Walk(NamedTuple):
+class WalkInSpace(NamedTuple):
     """States along the whisker from its top on, and its end at the base."""
 
     s: Float[Array, " points"]
@@ -97,7 +97,7 @@ class Walk(NamedTuple):
     load: SpaceLoad
 
 
-def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> Walk:
+def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> WalkInSpace:
     """From the top to the base, with `factor` times the forces.
 
     Args:
@@ -125,7 +125,7 @@ def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps
     still = zero, zero, zero
     start = (still, product(_rotation(top), (w, x, y, z))), SpaceLoad(still, still)
     (end, load), (states, loads) = jax.lax.scan(piece, start, (s, jnp.append(s[1:], 0.0), force))
-    return Walk(s, states, loads, end, load)
+    return WalkInSpace(s, states, loads, end, load)
 
 
 def _turn(q: Quaternion) -> Float[Array, "3"]:
@@ -138,7 +138,7 @@ def misfit(top: Top, rods: LoadedInSpace, factor: Scalar = 1.0) -> Float[Array, 
     return _turn(walk(top, rods, factor, ENDS, ROD_STEPS).end[1])
 
 
-class Checks(NamedTuple):
+class SpaceChecks(NamedTuple):
     """What is known of a solution."""
 
     residual: Float[Array, ""]
@@ -146,7 +146,7 @@ class Checks(NamedTuple):
     stable: Bool[Array, ""]
 
 
-def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> Checks:
+def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> SpaceChecks:
     """Error and stability of a solution with `factor` times the forces."""
     nodes, weights = gauss(NODES)
     share = np.concatenate([[0.0], nodes, [1.0]])
@@ -157,10 +157,10 @@ def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> Checks:
     stretches = jnp.abs(jnp.diff(jnp.append(fine.s[:: share.size], 0.0)))
     every = jnp.ravel(stretches[:, None] * np.concatenate([[0.0], weights, [0.0]]))
     stable = positive_definite(second_variation(rods, fine, every))
-    return Checks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
+    return SpaceChecks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
 
 
-def second_variation(rods: LoadedInSpace, found: Walk, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
+def second_variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
     """Second variation of the energy on rotation fields that vanish at the base, integrated with these weights.
 
     For a rotation field w, with D the stiffness in the fixed frame, it is the integral of

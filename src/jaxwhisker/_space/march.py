@@ -32,18 +32,27 @@ from jaxwhisker._space.march_state import (
     PHASE,
     RELEASE,
     TOUCH,
-    Flow,
     March,
-    Node,
+    SpaceFlow,
+    SpaceNode,
     SpacePath,
-    Target,
-    Task,
-    Trial,
+    SpaceTarget,
+    SpaceTask,
+    SpaceTrial,
 )
 from jaxwhisker._space.newton import Equations, solve_points
 from jaxwhisker._space.problem import SpaceProblem
-from jaxwhisker._space.slip import Mode, Motion, Slip, ends_of_step, grip_of, radau, stages_of, without_traction
-from jaxwhisker._space.stance import Stance, stance_of
+from jaxwhisker._space.slip import (
+    ContactMotion,
+    SlipMode,
+    SlipState,
+    ends_of_step,
+    grip_of,
+    radau,
+    stages_of,
+    without_traction,
+)
+from jaxwhisker._space.stance import SpaceStance, stance_of
 from jaxwhisker._space.transitions import FIRST_STEP, after_advance, after_arrive, after_event
 
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
@@ -55,7 +64,7 @@ def _condition(march: March, stop: Scalar) -> PathCondition:
     """The equation of the task."""
     n = march.phase.size
     target, none = march.target, jnp.zeros_like(march.point.z)
-    locating = march.task == Task.event
+    locating = march.task == SpaceTask.event
     concerned = target.whiskers.astype(float)
     of_grip = (target.margin == GRIP) & locating & (march.slip is not None)
     of_force = (target.margin == TOUCH) | ((target.margin == RELEASE) & locating)
@@ -63,18 +72,18 @@ def _condition(march: March, stop: Scalar) -> PathCondition:
     of_loss = (target.margin == LOSS) & locating & (march.slip is not None)
     of_stop = ~of_force & ~of_slack & ~of_grip & ~of_loss
     weight = none.at[:, FORCE].set(concerned * of_force).at[:, SLACK].set(concerned * of_slack)
-    of_stop |= march.task == Task.flow
-    weight = jnp.where(march.task == Task.flow, 0.0, weight)
+    of_stop |= march.task == SpaceTask.flow
+    weight = jnp.where(march.task == SpaceTask.flow, 0.0, weight)
     u = jnp.where(locating, stop, march.point.u)
     at_event = PathCondition(weight, none, of_stop.astype(float), u, jnp.zeros(n))
     ahead = at_arc_length(march.point, without_traction(march.tangent), march.step)
-    return select(march.task != Task.advance, at_event, ahead)
+    return select(march.task != SpaceTask.advance, at_event, ahead)
 
 
-def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March) -> Trial:
+def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March) -> SpaceTrial:
     """Predict and solve."""
     stop, target = stops[jnp.minimum(march.goal, last)], march.target
-    locating, advancing = march.task == Task.event, march.task == Task.advance
+    locating, advancing = march.task == SpaceTask.event, march.task == SpaceTask.advance
     # A touch is solved for as the contact that begins, without force.
     begins = locating & (target.margin == TOUCH) & target.whiskers
     distance = jnp.where(locating, target.distance, march.step)
@@ -90,16 +99,16 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
     guesses = guesses._replace(z=guesses.z.at[-1].set(first_contact))
     guess = jax.tree.map(lambda leaf: leaf[-1], guesses)
     phase = jnp.where(begins, target.first.phase, march.phase)
-    condition, flows = _condition(march, stop), march.task == Task.flow
+    condition, flows = _condition(march, stop), march.task == SpaceTask.flow
     time = jnp.where(flows, march.flow.time, march.step)
-    motion = Motion(march.point.z, Traction(problem.friction, flows), time)
+    motion = ContactMotion(march.point.z, Traction(problem.friction, flows), time)
     between = None
     if march.slip is not None:
         measure = at_arc_length(march.point, without_traction(march.tangent), jnp.zeros(()))
         between = select(locating, measure, condition)._replace(z0=march.point.z, u0=march.point.u)
-        waits = begins | (march.task == Task.arrive)
+        waits = begins | (march.task == SpaceTask.arrive)
         grips = (target.whiskers & locating & (target.margin == GRIP)).astype(float)
-        slipping = march.slip.mode == Mode.slips
+        slipping = march.slip.mode == SlipMode.slips
         motion = motion._replace(
             mode=march.slip.mode,
             waits=waits,
@@ -122,7 +131,7 @@ def _trial(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array
     stance = stance_of(problem, point, phase, solution.newton.at, grip)
     if march.sunk is not None:
         stance = at_surface(stance, march.sunk)
-    return Trial(solution, tangent, stance, guess, phase, stop, stops, last)
+    return SpaceTrial(solution, tangent, stance, guess, phase, stop, stops, last)
 
 
 def _iterate(problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], march: March):
@@ -151,13 +160,13 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
     nobody, zero = jnp.zeros(n, bool), jnp.asarray(0)
     slip, inner = None, None
     if problem.friction is not None:
-        slip = Slip(jnp.full(n, int(Mode.slips)), zero, jnp.asarray(True), nobody, zero)
+        slip = SlipState(jnp.full(n, int(SlipMode.slips)), zero, jnp.asarray(True), nobody, zero)
         others = stages_of(problem) - 1
         inner = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (others, *jnp.shape(leaf))), point)
     kind, mode = jnp.asarray(NO_EVENT), None if slip is None else slip.mode
-    node = Node(point, z, still, still, phase, phase, -jnp.abs(start - stops[0]), kind, nobody, mode, inner)
+    node = SpaceNode(point, z, still, still, phase, phase, -jnp.abs(start - stops[0]), kind, nobody, mode, inner)
     unknown = jnp.zeros(n)
-    stance = Stance(
+    stance = SpaceStance(
         free=phase == Phase.free,
         nearest=Nearest(unknown, z, phase),
         advance=unknown,
@@ -169,7 +178,7 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         opens=jnp.asarray(True),
     )
     return March(
-        task=jnp.asarray(int(Task.arrive)),
+        task=jnp.asarray(int(SpaceTask.arrive)),
         phase=phase,
         point=point,
         tangent=still,
@@ -179,13 +188,13 @@ def _start(problem: SpaceProblem, start: Scalar, stops: Float[Array, " stops"]) 
         size=jnp.asarray(1.0),
         unstable_at=jnp.asarray(jnp.inf),
         unstable_size=jnp.asarray(-1.0),
-        target=Target(jnp.asarray(AT_STOP), nobody, jnp.asarray(0.0), stance.nearest),
+        target=SpaceTarget(jnp.asarray(AT_STOP), nobody, jnp.asarray(0.0), stance.nearest),
         pending=node,
         goal=zero,
         direction=direction,
         travel=node.travel,
         touched=jnp.asarray(False),
-        flow=Flow(jnp.asarray(FIRST_TIME), zero, z, nobody, stance.opens),
+        flow=SpaceFlow(jnp.asarray(FIRST_TIME), zero, z, nobody, stance.opens),
         slip=slip,
         sunk=None if slip is None else nobody,
         count=zero,
@@ -235,8 +244,8 @@ def march(
         return select(full, now.stopped(Status.too_long), now), nodes, count + CHUNK
 
     def goes_on(carry):
-        return _any_lane(carry[0].task != Task.done) & (carry[2] < ITERATIONS)
+        return _any_lane(carry[0].task != SpaceTask.done) & (carry[2] < ITERATIONS)
 
     now, nodes, _ = jax.lax.while_loop(goes_on, chunk, (first, nodes, jnp.asarray(0)))
-    status = jnp.where(now.task == Task.done, now.status, int(Status.too_long))
+    status = jnp.where(now.task == SpaceTask.done, now.status, int(Status.too_long))
     return SpacePath(nodes, jnp.minimum(now.count, capacity), status)

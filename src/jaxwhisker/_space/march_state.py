@@ -11,13 +11,13 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import NO_EVENT, Status
 from jaxwhisker._space.free import Nearest
-from jaxwhisker._space.newton import Phases, Solution
+from jaxwhisker._space.newton import Phases, SpaceSolution
 from jaxwhisker._space.problem import Contacts
-from jaxwhisker._space.slip import Slip
-from jaxwhisker._space.stance import Stance
+from jaxwhisker._space.slip import SlipState
+from jaxwhisker._space.stance import SpaceStance
 
 
-class Task(IntEnum):
+class SpaceTask(IntEnum):
     """Task of an iteration of the march (see march.py)."""
 
     advance = 0
@@ -31,7 +31,7 @@ TOUCH, RELEASE, PHASE, AT_STOP, GRIP, LOSS, SNAP = range(7)  # kinds of margins,
 SETTLED = -3  # kind of a node at which contacts have settled, besides NO_EVENT and STOP
 
 
-class Node(NamedTuple):
+class SpaceNode(NamedTuple):
     """An equilibrium on the path, and the path's directions before and after it."""
 
     point: Point
@@ -51,12 +51,12 @@ class Node(NamedTuple):
 class SpacePath(NamedTuple):
     """Nodes 0 to count - 1, in padded arrays. The status says why the path ends where it does."""
 
-    nodes: Node
+    nodes: SpaceNode
     count: Int[Array, ""]
     status: Int[Array, ""]
 
 
-class Target(NamedTuple):
+class SpaceTarget(NamedTuple):
     """An event to be solved for."""
 
     margin: Int[Array, ""]
@@ -65,7 +65,7 @@ class Target(NamedTuple):
     first: Nearest  # contacts that may begin, fields (whiskers, ...)
 
 
-class Flow(NamedTuple):
+class SpaceFlow(NamedTuple):
     """Contacts that slide after a loss of stability."""
 
     time: Scalar  # length of the next time step
@@ -84,33 +84,33 @@ class March(NamedTuple):
     tangent: Point
     bend: Point  # change of the tangent per arc length
     step: Scalar
-    stance: Stance  # of free whiskers
+    stance: SpaceStance  # of free whiskers
     size: Scalar  # determinant of the sliding stiffness here; halved by the Illinois rule
     unstable_at: Scalar  # distance ahead of a known unstable state, or infinity
     unstable_size: Scalar  # the determinant there
-    target: Target
-    pending: Node
+    target: SpaceTarget
+    pending: SpaceNode
     goal: Int[Array, ""]
     direction: Scalar  # +1 while the drive moves towards larger u
     travel: Scalar
     touched: Bool[Array, ""]
-    flow: Flow
-    slip: Slip | None
+    flow: SpaceFlow
+    slip: SlipState | None
     sunk: Bool[Array, " whiskers"] | None  # freed although still a little inside the object; None without friction
     count: Int[Array, ""]
     status: Int[Array, ""]
 
     def stopped(self, status: Status | Array) -> "March":
         """The state after the march has ended with this status."""
-        return self._replace(task=jnp.asarray(int(Task.done)), status=jnp.asarray(status, dtype=int))
+        return self._replace(task=jnp.asarray(int(SpaceTask.done)), status=jnp.asarray(status, dtype=int))
 
 
-class Trial(NamedTuple):
+class SpaceTrial(NamedTuple):
     """The solved point of an iteration, and what it is like there."""
 
-    solution: Solution
+    solution: SpaceSolution
     tangent: Point  # of unit length in the scale of the point
-    stance: Stance
+    stance: SpaceStance
     guess: Point  # of the end of the step
     phase: Phases  # in which it is solved for
     stop: Scalar  # the control that the drive moves to
@@ -123,10 +123,10 @@ class Trial(NamedTuple):
         return self.solution.end
 
 
-Outcome = tuple[March, Bool[Array, ""] | Array, Node]  # the next state, whether to write a node, and that node
+Outcome = tuple[March, Bool[Array, ""] | Array, SpaceNode]  # the next state, whether to write a node, and that node
 
 
-def node_at(march: March, point: Point, tangent: Point, points: Point | None = None) -> Node:
+def node_at(march: March, point: Point, tangent: Point, points: Point | None = None) -> SpaceNode:
     """A plain node: the path goes on as it arrives. `points` are the stages of a step with friction."""
     travel = march.travel + jnp.abs(point.u - march.point.u)
     nobody = jnp.zeros_like(march.phase, bool)
@@ -135,4 +135,4 @@ def node_at(march: March, point: Point, tangent: Point, points: Point | None = N
         points = march.pending.inner if points is None else jax.tree.map(lambda leaf: leaf[:-1], points)
         mode, inner = march.slip.mode, points
     kind = jnp.asarray(NO_EVENT)
-    return Node(point, point.z, tangent, tangent, march.phase, march.phase, travel, kind, nobody, mode, inner)
+    return SpaceNode(point, point.z, tangent, tangent, march.phase, march.phase, travel, kind, nobody, mode, inner)

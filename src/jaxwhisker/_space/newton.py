@@ -20,7 +20,7 @@ from jaxwhisker._equilibrium.point import PathCondition, Point, scale_of
 from jaxwhisker._space.contact import SLACK, UNKNOWNS
 from jaxwhisker._space.linear import Linear, linearise
 from jaxwhisker._space.problem import SpaceProblem, of_each
-from jaxwhisker._space.slip import Motion, laws_of, radau
+from jaxwhisker._space.slip import ContactMotion, laws_of, radau
 
 ROUNDED = 1e-12  # residuals that are rounding errors
 LARGEST_NOISE = 1e-4  # of a Newton step for such residuals, dimensionless
@@ -34,7 +34,7 @@ def phase_by_slack(z: Float[Array, "*stages whiskers 11"], phase: Int[Array, "*s
     return jnp.where(phase == Phase.free, phase, touching)
 
 
-class NewtonStep(NamedTuple):
+class SpaceNewtonStep(NamedTuple):
     """A Newton step of all stages, and the tangent of the path at the last one."""
 
     step: Point  # fields (stages, ...)
@@ -49,10 +49,10 @@ class Equations(NamedTuple):
     phase: Int[Array, "stages whiskers"]
     condition: PathCondition  # of the last stage
     between: PathCondition | None  # its weights measure how far the others are; None if there are no others
-    motion: Motion | None  # None if there are no tractions
+    motion: ContactMotion | None  # None if there are no tractions
 
 
-def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> NewtonStep:
+def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> SpaceNewtonStep:
     """Solve the linearised equations of all whiskers, the network and the conditions, at all stages."""
     phase, condition, between, motion = equations
     stages, n, rows = phase.shape[0], phase.shape[1], problem.rows
@@ -135,7 +135,7 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> N
         own = jnp.where(touching[-1, :, :, None, None], own, system[-1, :, :, -1])
         tangent = _tangent(between, directions[-1], own, by_u[-1])
     own = jnp.max(jnp.where(touching[:, :, 0], at.own, 0.0))
-    return NewtonStep(
+    return SpaceNewtonStep(
         step._replace(z=step.z + z - points.z),
         tangent,
         jnp.maximum(jnp.max(jnp.abs(residuals)), own),
@@ -167,7 +167,7 @@ def _by_stage(columns: Float[Array, "stages rows"]) -> Float[Array, "all stages"
     return jnp.reshape(columns[:, :, None] * np.eye(stages)[:, None], (-1, stages))
 
 
-class _State(NamedTuple):
+class _SpaceNewtonState(NamedTuple):
     step_size: Float[Array, "*batch"]
 
 
@@ -183,7 +183,7 @@ class SpaceNewton(optx.AbstractRootFinder):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         del fn, args, options, f_struct, aux_struct, tags
-        return _State(jnp.full_like(y.u[..., 0], jnp.inf))
+        return _SpaceNewtonState(jnp.full_like(y.u[..., 0], jnp.inf))
 
     def step(self, fn, y, args, options, state, tags):
         del options, tags
@@ -196,7 +196,7 @@ class SpaceNewton(optx.AbstractRootFinder):
         stays = solved | failed
         step = Point(jnp.where(stays[..., None, None, None], 0.0, step.z), jnp.where(stays[..., None], 0.0, step.u))
         size = jnp.where(solved, state.step_size, jnp.where(failed, jnp.nan, size))
-        return jax.tree.map(jnp.add, y, step), _State(size), newton
+        return jax.tree.map(jnp.add, y, step), _SpaceNewtonState(size), newton
 
     def terminate(self, fn, y, args, options, state, tags):
         del fn, y, args, options, tags
@@ -207,11 +207,11 @@ class SpaceNewton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-class Solution(NamedTuple):
+class SpaceSolution(NamedTuple):
     """Solved stages; `newton` is a linearisation at most one step before them."""
 
     points: Point  # fields (*batch, stages, ...)
-    newton: NewtonStep
+    newton: SpaceNewtonStep
     converged: Bool[Array, "*batch"]
 
     @property
@@ -220,7 +220,7 @@ class Solution(NamedTuple):
         return Point(self.points.z[..., -1, :, :], jnp.asarray(self.points.u)[..., -1])
 
 
-def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) -> Solution:
+def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) -> SpaceSolution:
     """Solve the equations of all stages of a step; or of several steps, along a leading axis, in one loop.
 
     Failure is a flag.
@@ -248,7 +248,7 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
     # squared: Newton steps do not get smaller although the equations are satisfied.
     size = solution.state.step_size
     converged = (size < tolerance) | ((solution.aux.residual < ROUNDED) & (size < LARGEST_NOISE))
-    return Solution(points, solution.aux, converged & finite)
+    return SpaceSolution(points, solution.aux, converged & finite)
 
 
 def plain(phase: Phases, condition: PathCondition) -> Equations:

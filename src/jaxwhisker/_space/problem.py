@@ -28,8 +28,8 @@ from jaxwhisker._model.whisker import with_equal_breaks
 from jaxwhisker._rod.elastica import AbstractRod
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
-from jaxwhisker._space.contact import Body
-from jaxwhisker._space.free import INTERVALS, Outline
+from jaxwhisker._space.contact import SpaceWhisker
+from jaxwhisker._space.free import INTERVALS, SpaceOutline
 from jaxwhisker._space.section import space_section
 
 LEAST_FRICTION = 1e-12  # is added to the coefficient: without any, the direction in which a contact slips is unknown
@@ -57,7 +57,7 @@ class SpaceProblem(eqx.Module):
     motion: SpaceMotion | AbstractMotion
     mount: Placement  # fields (whiskers, ...)
     springs: Springs | None  # None: clamped
-    outline: Outline  # of unloaded whiskers, fields (whiskers, ...)
+    outline: SpaceOutline  # of unloaded whiskers, fields (whiskers, ...)
     friction: Scalar | None  # the coefficient mu; None without friction
     onwards: Int[Array, ""]  # +1 if the control increases during a scan, else -1
     ends: tuple[Float[Array, ""], Float[Array, ""]] | None
@@ -102,7 +102,7 @@ class SpaceProblem(eqx.Module):
 def of_each(problem: SpaceProblem, function: Callable, *args):
     """Apply a function of one whisker's body to every whisker; each gets its own row of the arguments."""
     section = problem.section
-    bare = Body(problem.length, problem.bending_stiffness, None, problem.mount)
+    bare = SpaceWhisker(problem.length, problem.bending_stiffness, None, problem.mount)
     if not isinstance(section, tuple):
         return jax.vmap(function)(bare._replace(section=section), *args)
     # Whiskers of different kinds cannot be batched.
@@ -111,18 +111,18 @@ def of_each(problem: SpaceProblem, function: Callable, *args):
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-def outlines_in_space(length: PerWhisker, section) -> Outline:
+def outlines_in_space(length: PerWhisker, section) -> SpaceOutline:
     """Shapes of unloaded whiskers."""
     places = np.linspace(0.0, 1.0, INTERVALS + 1)
 
     def one(length, section):
         if not isinstance(section, SpaceSection):
             position = (length * places)[:, None] * np.array([0.0, 0.0, 1.0])
-            return Outline(position, jnp.broadcast_to(jnp.eye(3), (places.size, 3, 3)))
+            return SpaceOutline(position, jnp.broadcast_to(jnp.eye(3), (places.size, 3, 3)))
         zero = jnp.zeros(())
         start = (zero, zero, zero), (zero + 1, zero, zero, zero)
         r, q = points(start, -length, SpaceLoad((zero, zero, zero)), section, at=jnp.asarray(places), from_base=zero)
-        return Outline(jnp.stack(r, axis=-1), jax.vmap(matrix_of)(jnp.stack(q, axis=-1)))
+        return SpaceOutline(jnp.stack(r, axis=-1), jax.vmap(matrix_of)(jnp.stack(q, axis=-1)))
 
     if isinstance(section, tuple):
         each = [one(length[k], own) for k, own in enumerate(section)]

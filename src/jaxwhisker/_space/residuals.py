@@ -9,14 +9,14 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._space.contact import ROLL, TRACTION, Base, Traction, base_of, in_drive, on_surface
+from jaxwhisker._space.contact import ROLL, TRACTION, SpaceBase, Traction, base_of, in_drive, on_surface
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 
 
 def residuals(
     problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, free: Contacts
-) -> tuple[Contacts, Float[Array, "whiskers 6"], Base]:
+) -> tuple[Contacts, Float[Array, "whiskers 6"], SpaceBase]:
     """Residuals of all equations, (whiskers, 11), coordinates of the bases, and the bases themselves.
 
     The last two residuals of a contact are its tractions, which vanish without friction. `free` are the values of free

@@ -13,7 +13,7 @@ from jaxwhisker._path.path import Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
-from jaxwhisker._space.contact import POINT, Body, Contact, Traction, loaded
+from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
 from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
@@ -23,7 +23,7 @@ DEPTH = 1e-6  # lengths: shafts that are deeper inside the object touch it in a 
 BATCH = 32  # nodes of a path searched at once
 
 
-def shape(problem: SpaceProblem, body: Body, z: Contact, phase: Int[Array, ""]) -> Float[Array, "points 3"]:
+def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> Float[Array, "points 3"]:
     """Points of a whisker in contact, in the scene: from the contact to the base, and from there to the tip."""
     traction = None if problem.friction is None else Traction(problem.friction, jnp.asarray(False))
     frame, force, chi, roll, arc = loaded(body, problem.surface, z, phase, traction)

@@ -33,7 +33,7 @@ FOLLOWING = 0.01  # lengths, for which a traction of mu f counts as much as the 
 Pair = Float[Array, "2"]  # along the whisker, and across
 
 
-class Mode(IntEnum):
+class SlipMode(IntEnum):
     """What a contact does while the drive moves."""
 
     slips = 0
@@ -41,7 +41,7 @@ class Mode(IntEnum):
     waits = 2  # its traction is given
 
 
-class Slip(NamedTuple):
+class SlipState(NamedTuple):
     """What contacts do, as the march knows it; absent without friction."""
 
     mode: Int[Array, " whiskers"]
@@ -51,7 +51,7 @@ class Slip(NamedTuple):
     guess: Int[Array, ""]  # number of this guess
 
 
-class Motion(NamedTuple):
+class ContactMotion(NamedTuple):
     """How contacts move from the start of a step to its stages."""
 
     start: Contacts
@@ -68,10 +68,10 @@ class Motion(NamedTuple):
     follows: Scalar | None = None
 
 
-def following(z: Contacts, friction: Scalar, mode: Int[Array, " whiskers"]) -> Motion:
+def following(z: Contacts, friction: Scalar, mode: Int[Array, " whiskers"]) -> ContactMotion:
     """The motion of contacts that are known to be nearly there."""
     none, plain = jnp.zeros(mode.size), Traction(friction, jnp.asarray(False))
-    return Motion(z, plain, none[0], mode, mode < 0, z[:, TRACTION], none, none, None, jnp.asarray(FOLLOWING))
+    return ContactMotion(z, plain, none[0], mode, mode < 0, z[:, TRACTION], none, none, None, jnp.asarray(FOLLOWING))
 
 
 def radau(stages: int) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +102,7 @@ class Laws(NamedTuple):
     missed_by: Float[Array, "stages whiskers steps"]
 
 
-def laws_of(motion: Motion, z: Array, phase: Array, at: Linear, rates: np.ndarray) -> Laws:
+def laws_of(motion: ContactMotion, z: Array, phase: Array, at: Linear, rates: np.ndarray) -> Laws:
     """The laws of all contacts, which are linearised at all stages; `rates` are those of the polynomial there."""
     stages, axis = len(rates), None if motion.mode is None else 0
 
@@ -111,8 +111,8 @@ def laws_of(motion: Motion, z: Array, phase: Array, at: Linear, rates: np.ndarra
         traction, force, friction = z[:, TRACTION], z[:, FORCE], motion.traction.friction
         last = mode
         if friction is not None:
-            last = jnp.where(force[-1] * friction < FAINT, int(Mode.waits), mode)
-            mode = jnp.where(waits, int(Mode.waits), mode)
+            last = jnp.where(force[-1] * friction < FAINT, int(SlipMode.waits), mode)
+            mode = jnp.where(waits, int(SlipMode.waits), mode)
 
         def residual(mode, *contact):
             return _law(motion, mode, given, *contact)
@@ -156,7 +156,7 @@ def laws(
     given: Float[Array, "whiskers 2"],
     follows: Scalar | None = None,
 ) -> tuple[Float[Array, "stages whiskers 2"], Float[Array, "stages whiskers 2"]]:
-    """Residuals of the laws of contacts with friction, and how far these move; see `Laws` and `Motion`."""
+    """Residuals of the laws of contacts with friction, and how far these move; see `Laws` and `ContactMotion`."""
     _, rates = radau(z.shape[0])
 
     def one(z, start, phase, mode, given):
@@ -204,7 +204,9 @@ def _movement(
     return _moves(z, start, phase, at.frame, rates), jnp.stack([first_by, second_by], axis=1), unit_by
 
 
-def _law(motion: Motion, mode: Int[Array, ""] | None, given: Pair | None, moves: Pair, traction: Pair, force: Scalar):
+def _law(
+    motion: ContactMotion, mode: Int[Array, ""] | None, given: Pair | None, moves: Pair, traction: Pair, force: Scalar
+):
     """Residuals of the law of one contact, which moves over the length of a step."""
     flows, friction = motion.traction.flows, motion.traction.friction
     if friction is None or mode is None or given is None:
@@ -224,7 +226,7 @@ def _plain_law(mode: Int[Array, ""], given: Pair, moves: Pair, traction: Pair, f
         # Either the place of a contact or its traction may hardly depend on the other one.
         moves, along = moves + follows * (traction - given), given
     slips = jnp.stack([(square - 1) / 2, along[0] * moves[1] - along[1] * moves[0]])
-    return jnp.where(mode == Mode.slips, slips, jnp.where(mode == Mode.sticks, moves, traction - given))
+    return jnp.where(mode == SlipMode.slips, slips, jnp.where(mode == SlipMode.sticks, moves, traction - given))
 
 
 def speeds(surface: AbstractSurface, z: Contacts, phase: Int[Array, " whiskers"], rate: Contacts) -> Array:
@@ -242,11 +244,11 @@ def grip_of(problem: SpaceProblem, mode: Int[Array, " whiskers"], phase: Array, 
     """Margins to the next change of mode: the speed of slip, or what friction can hold besides; infinite if free."""
     traction = point.z[:, TRACTION]
     speed = -jnp.sum(traction * speeds(problem.surface, point.z, phase, tangent.z), axis=1)
-    margin = jnp.where(mode == Mode.slips, speed, (1 - jnp.sum(traction**2, axis=1)) / 2)
+    margin = jnp.where(mode == SlipMode.slips, speed, (1 - jnp.sum(traction**2, axis=1)) / 2)
     return jnp.where(phase == Phase.free, jnp.inf, margin)
 
 
-def ends_of_step(slip: Slip, start: Point, points: Point) -> tuple[Point, Point]:
+def ends_of_step(slip: SlipState, start: Point, points: Point) -> tuple[Point, Point]:
     """Rates of the polynomial through all stages at the start of a step and at its end, times the length of the step.
 
     The equations themselves give the rate of a direction of slip that hardly matters only very roughly.
@@ -265,7 +267,7 @@ def ends_of_step(slip: Slip, start: Point, points: Point) -> tuple[Point, Point]
     return at(rates[0]), at(rates[-1])
 
 
-def defect_of(friction: Scalar, slip: Slip, start: Point, tangent: Point, points: Point) -> Scalar:
+def defect_of(friction: Scalar, slip: SlipState, start: Point, tangent: Point, points: Point) -> Scalar:
     """How far a step begins in another direction than the path arrives, over the length of the step."""
     scale, (first, _) = scale_of(start.z), ends_of_step(slip, start, points)
     length = dot(without_traction(tangent), first, scale)
@@ -302,7 +304,7 @@ def first_traction(velocity: Float[Array, "whiskers 2"]) -> Float[Array, "whiske
     return jnp.where(moves, -velocity / jnp.where(moves, speed, 1.0), np.array([1.0, 0.0]))
 
 
-def next_guess(slip: Slip, traction: Float[Array, "whiskers 2"]) -> tuple[Slip, Float[Array, "whiskers 2"]]:
+def next_guess(slip: SlipState, traction: Float[Array, "whiskers 2"]) -> tuple[SlipState, Float[Array, "whiskers 2"]]:
     """The next guess of what contacts that begin do, and their tractions.
 
     They slip against their first velocity, or on either side of that, or stick. A straight whisker whose tip would
@@ -312,16 +314,16 @@ def next_guess(slip: Slip, traction: Float[Array, "whiskers 2"]) -> tuple[Slip, 
     cos, sin, (ahead, across) = jnp.cos(angle), jnp.sin(angle), traction.T
     turned = jnp.stack([cos * ahead - sin * across, sin * ahead + cos * across], axis=1)
     guess = (slip.guess + 1) % 4
-    mode = jnp.where(slip.begins, jnp.where(guess == 3, int(Mode.sticks), int(Mode.slips)), slip.mode)
+    mode = jnp.where(slip.begins, jnp.where(guess == 3, int(SlipMode.sticks), int(SlipMode.slips)), slip.mode)
     return slip._replace(mode=mode, guess=guess), jnp.where(slip.begins[:, None], turned, traction)
 
 
-def slip_after(slip: Slip, grips: Bool[Array, " whiskers"], turns: Bool[Array, ""], touches: Array) -> Slip:
+def slip_after(slip: SlipState, grips: Bool[Array, " whiskers"], turns: Bool[Array, ""], touches: Array) -> SlipState:
     """What contacts do after an event: those whose margin vanishes change, and where the drive turns, all stick."""
-    other = jnp.where(slip.mode == Mode.slips, int(Mode.sticks), int(Mode.slips))
+    other = jnp.where(slip.mode == SlipMode.slips, int(SlipMode.sticks), int(SlipMode.slips))
     mode = jnp.where(grips, other, slip.mode)
-    mode = jnp.where(turns, int(Mode.sticks), mode)
-    mode = jnp.where(touches, int(Mode.slips), mode)
+    mode = jnp.where(turns, int(SlipMode.sticks), mode)
+    mode = jnp.where(touches, int(SlipMode.slips), mode)
     none = jnp.zeros_like(slip.changes)
     return slip._replace(mode=mode, changes=none, begins=touches, guess=none)
 
@@ -330,18 +332,18 @@ LEAST_SPEED = 1e-9  # per arc length of the path: contacts must not slip with th
 
 
 def slip_at_corner(
-    problem: SpaceProblem, slip: Slip, phase: Array, point: Point, tangent: Point
-) -> tuple[Slip, Float[Array, " whiskers"]]:
+    problem: SpaceProblem, slip: SlipState, phase: Array, point: Point, tangent: Point
+) -> tuple[SlipState, Float[Array, " whiskers"]]:
     """What contacts do after a corner of the path, along this tangent, and their margins there.
 
     The first contact that would slip with its traction sticks instead, and one at its largest traction slips if this
     would grow.
     """
-    traction, slips = point.z[:, TRACTION], slip.mode == Mode.slips
+    traction, slips = point.z[:, TRACTION], slip.mode == SlipMode.slips
     margin = grip_of(problem, slip.mode, phase, point, tangent)
     growth = jnp.sum(traction * tangent.z[:, TRACTION], axis=1)
     changes = jnp.where(slips, margin < -LEAST_SPEED, (margin < LEAST_SPEED) & (growth > LEAST_SPEED))
     wrong = (phase != Phase.free) & ~slip.begins & changes
     first = jnp.arange(wrong.size) == jnp.argmax(wrong)
-    other = jnp.where(slips, int(Mode.sticks), int(Mode.slips))
+    other = jnp.where(slips, int(SlipMode.sticks), int(SlipMode.slips))
     return slip._replace(mode=jnp.where(wrong & first, other, slip.mode), changes=slip.changes + 1), margin

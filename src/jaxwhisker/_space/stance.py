@@ -24,7 +24,7 @@ LONGEST_ADVANCE = 2e-4  # lengths by which whiskers may move before a flat objec
 STILL = 1e-12  # speeds that are rounding errors
 
 
-class Stance(NamedTuple):
+class SpaceStance(NamedTuple):
     """What the march asks about a point of the path, besides its equations."""
 
     free: Bool[Array, " whiskers"]
@@ -38,7 +38,7 @@ class Stance(NamedTuple):
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
 
 
-def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, grip: Array | None) -> Stance:
+def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, grip: Array | None) -> SpaceStance:
     """The stance at a point of the path, near which whiskers are linearised with tractions."""
     free, z = phase == Phase.free, point.z
     if grip is None:
@@ -67,7 +67,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, gr
 
     found, advance, speeds = of_each(problem, near, placed, rate, problem.outline)
     opens = of_each(problem, lambda body, z, phase: spread(body, problem.surface, z, phase), z, phase)
-    return Stance(
+    return SpaceStance(
         free=free,
         nearest=found,
         advance=advance,

@@ -19,17 +19,17 @@ from jaxwhisker._space.march_state import (
     SNAP,
     TOUCH,
     March,
-    Node,
     Outcome,
-    Target,
-    Task,
-    Trial,
+    SpaceNode,
+    SpaceTarget,
+    SpaceTask,
+    SpaceTrial,
     node_at,
 )
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.slip import (
-    Mode,
+    SlipMode,
     as_felt,
     defect_of,
     first_traction,
@@ -40,7 +40,7 @@ from jaxwhisker._space.slip import (
     with_traction,
     without_traction,
 )
-from jaxwhisker._space.stance import Stance
+from jaxwhisker._space.stance import SpaceStance
 
 FIRST_STEP = 0.02  # after a corner
 LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
@@ -59,7 +59,7 @@ FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is 
 
 
 def margins_of(
-    phase: Phases, z: Contacts, stance: Stance, remaining: Scalar, onwards: Scalar
+    phase: Phases, z: Contacts, stance: SpaceStance, remaining: Scalar, onwards: Scalar
 ) -> Float[Array, "kinds whiskers"]:
     """Margins of all kinds of events: positive before them. With friction, stability is lost where the drive turns."""
     free, tip = phase == Phase.free, phase == Phase.tip
@@ -77,7 +77,7 @@ def _rates(phase: Phases, tangent: Point) -> Float[Array, "kinds whiskers"]:
     return jnp.stack([still, tangent.z[:, FORCE], jnp.where(phase == Phase.tip, -slack, slack), *[still] * 3])
 
 
-def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
+def after_advance(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcome:
     """Handle the end of a step along the path: a node, an event in the step, lost stability, or too long a step."""
     point, tangent, stance, scale = trial.point, trial.tangent, trial.stance, scale_of(march.point.z)
     slip, friction = march.slip, problem.friction
@@ -136,7 +136,7 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         (astray, settling(problem, march)),
         (~good & (shorter.step < SHORTEST_STEP), march.stopped(Status.lost)),
         (~good, shorter),
-        (violated, march._replace(task=jnp.asarray(int(Task.event)), target=target)),
+        (violated, march._replace(task=jnp.asarray(int(SpaceTask.event)), target=target)),
         (located, lost),
         (~stable, _before_loss(march, stance.stiffness)),
         (_is_over(problem, march, trial), march.stopped(Status.ok)),
@@ -150,8 +150,8 @@ def after_advance(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
 
 
 def _first_violated(
-    march: March, trial: Trial, length: Scalar, solved: Bool[Array, "kinds whiskers"] | None = None
-) -> tuple[Bool[Array, ""], Target]:
+    march: March, trial: SpaceTrial, length: Scalar, solved: Bool[Array, "kinds whiskers"] | None = None
+) -> tuple[Bool[Array, ""], SpaceTarget]:
     """Whether a margin vanishes on the way to the trial, of this length, and the first such event.
 
     Margins that are `solved` for vanish at its end.
@@ -174,10 +174,10 @@ def _first_violated(
     k = jnp.argmin(share)
     margin, whisker = jnp.unravel_index(k, share.shape)
     whiskers = (jnp.arange(march.phase.size) == whisker) & (margin != AT_STOP) & (margin != LOSS)
-    return jnp.any(crossed), Target(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
+    return jnp.any(crossed), SpaceTarget(margin, whiskers, jnp.ravel(share)[k] * length, trial.stance.nearest)
 
 
-def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
+def _dip(march: March, trial: SpaceTrial, straight: Scalar) -> Scalar:
     """Share of the step at which a force or a slack is least, if it vanishes on the way, although not at the end.
 
     It is 1 if none does. Between the ends, values and tangents give a cubic.
@@ -194,7 +194,7 @@ def _dip(march: March, trial: Trial, straight: Scalar) -> Scalar:
     return jnp.min(jnp.where(turns & (least < -MARGIN_NOISE), share, 1.0))
 
 
-def _bifurcation(march: March, trial: Trial) -> Node:
+def _bifurcation(march: March, trial: SpaceTrial) -> SpaceNode:
     """The node where stability is lost, within a short step."""
     share = march.size / (march.size - trial.stance.stiffness)
     middle = march.point.u + share * (trial.point.u - march.point.u)
@@ -227,13 +227,13 @@ def _next_step(march: March, factor: Scalar, step: Scalar) -> Scalar:
     return jnp.where(jnp.isfinite(march.unstable_at), jnp.minimum(length, _to_loss(march)), length)
 
 
-def _clear(stance: Stance, tangent: Point) -> Scalar:
+def _clear(stance: SpaceStance, tangent: Point) -> Scalar:
     """Length of a step in which free whiskers cannot pass through the object unnoticed."""
     speed = jnp.maximum(stance.speed * jnp.abs(tangent.u), 1e-12)
     return jnp.min(jnp.where(stance.free, stance.advance / speed, jnp.inf))
 
 
-def _is_over(problem: SpaceProblem, march: March, trial: Trial) -> Bool[Array, ""]:
+def _is_over(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Bool[Array, ""]:
     """Whether all whiskers have passed the object and cannot meet it again: the drive moves on along a line."""
     distance = trial.stance.nearest.distance
     if problem.ends is not None:
@@ -242,7 +242,7 @@ def _is_over(problem: SpaceProblem, march: March, trial: Trial) -> Bool[Array, "
     return jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & leaves
 
 
-def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
+def after_event(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcome:
     """Handle the point where a margin vanishes."""
     point, tangent, phase, converged = trial.point, trial.tangent, trial.phase, trial.solution.converged
     target, scale = march.target, scale_of(march.point.z)
@@ -260,7 +260,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         good &= (target.margin != LOSS) | (distance > 0.1 * target.distance)
     # Where stability is lost before a margin vanishes, the path never gets there.
     beyond = ~trial.stance.stable & ~jnp.any(touches) & (distance > LOSS_BRACKET)
-    closer = march._replace(task=jnp.asarray(int(Task.advance)), step=distance)
+    closer = march._replace(task=jnp.asarray(int(SpaceTask.advance)), step=distance)
     # The whisker may touch with its tip where its shaft was expected to, or the reverse.
     slack = jnp.where(touches, jnp.where(phase == Phase.tip, point.z[:, SLACK], -point.z[:, SLACK]), -1.0)
     other = converged & (slack > MARGIN_NOISE)
@@ -269,7 +269,9 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         phase=jnp.where(other, swapped, target.first.phase),
         contact=target.first.contact.at[:, SLACK].multiply(~other),
     )
-    again = march._replace(task=jnp.asarray(int(Task.advance)), step=0.5 * jnp.minimum(march.step, target.distance))
+    again = march._replace(
+        task=jnp.asarray(int(SpaceTask.advance)), step=0.5 * jnp.minimum(march.step, target.distance)
+    )
     # Another margin may vanish before: events close to each other are told apart only here.
     kinds_of_margins = 4 if march.slip is None else 6
     of_drive = (target.margin == AT_STOP) | (target.margin == LOSS)
@@ -282,7 +284,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     slip, sticks, loss = march.slip, False, jnp.asarray(False)
     if slip is not None:
         loss = target.margin == LOSS
-        sticks = jnp.any(target.whiskers & (slip.mode == Mode.sticks))
+        sticks = jnp.any(target.whiskers & (slip.mode == SlipMode.sticks))
         heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - point.u)
         turns = (target.margin == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
         slip = slip_after(slip, target.whiskers & (target.margin == GRIP), turns, touches)
@@ -302,7 +304,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     node = node._replace(z_before=z_before, phase=after, kind=kinds[target.margin], whiskers=target.whiskers)
     node = node._replace(travel=jnp.where((target.margin == AT_STOP) & (march.goal == 0), 0.0, node.travel))
     arrived = march._replace(
-        task=jnp.asarray(int(Task.arrive)),
+        task=jnp.asarray(int(SpaceTask.arrive)),
         phase=after,
         point=point,
         pending=node,
@@ -333,7 +335,7 @@ def after_event(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     return first_case(*cases, otherwise=arrived), loss & good & ~missed, node
 
 
-def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
+def after_arrive(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcome:
     """Handle the point of an event in its new phase: leave along the path."""
     point, tangent, stance, last = trial.point, trial.tangent, trial.stance, trial.last
     margin, stop_kind = march.target.margin, march.pending.kind == STOP
@@ -345,7 +347,7 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
     by_control = (margin == RELEASE) | (margin == AT_STOP) | (margin == SNAP)
     if march.slip is not None:
         assert stance.grip is not None
-        slips = jnp.any(march.target.whiskers & (march.slip.mode == Mode.slips))
+        slips = jnp.any(march.target.whiskers & (march.slip.mode == SlipMode.slips))
         back |= (margin == GRIP) & slips & jnp.any(march.target.whiskers & (stance.grip < 0))
         by_control |= (margin == GRIP) & ~slips
     sign = jnp.where(by_control, jnp.where(tangent.u * direction < 0, -1.0, 1.0), jnp.where(back, -1.0, 1.0))
@@ -360,7 +362,7 @@ def after_arrive(problem: SpaceProblem, march: March, trial: Trial) -> Outcome:
         changed = jnp.any(slip.mode != march.slip.mode)
         leaving = march.slip._replace(changes=jnp.asarray(0), at_corner=jnp.asarray(True))
     onwards = march._replace(
-        task=jnp.asarray(int(Task.advance)),
+        task=jnp.asarray(int(SpaceTask.advance)),
         point=node.point,
         tangent=tangent,
         bend=jax.tree.map(jnp.zeros_like, tangent),

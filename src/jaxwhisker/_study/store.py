@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
-class Memory:
+class StudyInMemory:
     """A study in memory."""
 
     def resumed(self, layout: Layout) -> None:

@@ -21,7 +21,7 @@ from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
-from jaxwhisker._study.store import Memory, Store
+from jaxwhisker._study.store import Store, StudyInMemory
 from jaxwhisker._study.structure import channels_of, fingerprint, layout_of_scenes, sampled
 from jaxwhisker._study.summary import SUMMARY, derivative_name
 
@@ -113,7 +113,7 @@ def study(
     summarised = chosen(SUMMARISED, layout.scene.absent) if summary else ()
     computed = tuple(name for name in VARIABLES if name in layout.variables or name in summarised)
     visible = sys.stderr.isatty() if progress is None else progress
-    with closing(Memory() if store is None else Store(store)) as target:
+    with closing(StudyInMemory() if store is None else Store(store)) as target:
         resumed = target.resumed(layout)
         if visible:
             print(f"study: compiling, then {parameters.total:,} scans", file=sys.stderr)
@@ -192,7 +192,7 @@ def _planned(
 
 
 def _compute(
-    kernel: Kernel, target: Memory | Store, layout: Layout, blocks: Blocks, client: Any, visible: bool
+    kernel: Kernel, target: StudyInMemory | Store, layout: Layout, blocks: Blocks, client: Any, visible: bool
 ) -> None:
     """Compute and store all blocks that are not complete, and show the progress."""
     from tqdm import tqdm
@@ -214,7 +214,7 @@ def _compute(
 
 
 def _finished(
-    target: Memory | Store, build: Callable[..., AbstractScene], layout: Layout, visible: bool
+    target: StudyInMemory | Store, build: Callable[..., AbstractScene], layout: Layout, visible: bool
 ) -> "xr.Dataset":
     """The Dataset with a description of failed points, which is printed as well."""
     data = target.dataset()

@@ -191,7 +191,7 @@ def _ahead(values: np.ndarray, slopes: np.ndarray | None) -> np.ndarray:
 
 def _summarise(arrays: Mapping[str, np.ndarray], control: np.ndarray) -> dict[str, np.ndarray]:
     """The summary of real arrays, or of complex ones, whose real parts decide where peaks and events are."""
-    scans = _Scans(arrays, np.asarray(control, dtype=float))
+    scans = _StackedScans(arrays, np.asarray(control, dtype=float))
     found: dict[str, np.ndarray] = {}
     for name in scans.reactions:
         for which, sign in (("max", 1.0), ("min", -1.0)):
@@ -217,7 +217,7 @@ def _changes_direction(control: np.ndarray) -> bool:
     return bool(route_of(control).last > 1)
 
 
-class _Scans:
+class _StackedScans:
     """Scans along one leading axis: arrays have shape (scans, ...)."""
 
     def __init__(self, arrays: Mapping[str, np.ndarray], control: np.ndarray):

@@ -240,7 +240,7 @@ class Curves:
             ax.set_ylabel(system.label(name))
             ax.grid(alpha=0.3)
             _break_label(ax)
-            ax.yaxis.set_major_locator(_Within(nbins=4, steps=[1, 2, 2.5, 5, 10]))
+            ax.yaxis.set_major_locator(_InnerTicks(nbins=4, steps=[1, 2, 2.5, 5, 10]))
             ax.tick_params(labelbottom=ax is self.axes[-1])
             own = [colour(k) for k in range(values.shape[1])]
             self._curves.append([ax.plot([], [], color=c, linewidth=1.4)[0] for c in own])
@@ -257,7 +257,7 @@ class Curves:
                 head.set_data([here], [now[frame, k]])
 
 
-class _Within(MaxNLocator):
+class _InnerTicks(MaxNLocator):
     """Ticks away from the ends of an axis, where numbers would reach into the next row."""
 
     def tick_values(self, vmin: float, vmax: float) -> np.ndarray:

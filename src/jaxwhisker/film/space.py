@@ -64,7 +64,7 @@ class SpaceStage:
         if body is not None:
             self._picture.body(body)
         first = self._drawings.at(0).scaled(scale)
-        self._parts = space.Stage(self._picture, first, body, scale, system.scene.support.springs)
+        self._parts = space.SpaceArtists(self._picture, first, body, scale, system.scene.support.springs)
         self.moving: list[Any] = self._parts.parts
         self._picture.window(scale * low, scale * high, [system.label_of(name, "length") for name in "xyz"])
 

@@ -262,7 +262,7 @@ def _coil(centre: np.ndarray, frame: np.ndarray, axis: int, rigid: bool) -> np.n
     return centre[..., None, :] + spiral @ frame[..., [(axis + 1) % 3, (axis + 2) % 3]].swapaxes(-1, -2)
 
 
-class Stage:
+class SpaceArtists:
     """Whiskers, springs, drive, directors and contact forces in a picture, which may move.
 
     Args:
@@ -336,7 +336,7 @@ def _draw(drawn: SpaceDrawing, system: UnitSystem, view: Flat | Turned, way: np.
         for k, line in enumerate(one.whiskers):
             view.line(line, body, color=colour(k), linewidth=1.4, **style)
             view.line(line[:1], color=colour(k), linestyle="none", marker="o", markersize=3, **style)
-    Stage(view, last, body, scale, scene.support.springs)
+    SpaceArtists(view, last, body, scale, scene.support.springs)
     for base, frame in zip(last.whiskers[:, 0], last.directors, strict=True):
         for k, along in enumerate(frame.T):
             if np.isfinite(along).all() and _across(along, view.towards) > NAMED:

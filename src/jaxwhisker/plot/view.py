@@ -183,7 +183,7 @@ class Turned:
         label = style.pop("label", None)
         lines = [Line3D(*points.T, **style | _paler(style, body), label=label if body is None else None)]
         if body is not None:
-            lines.append(_Seen(*points.T, body=body, **style, label=label))
+            lines.append(_VisibleLine(*points.T, body=body, **style, label=label))
         for line in lines:
             self.ax.add_line(line)
 
@@ -195,7 +195,7 @@ class Turned:
 
     def arrow(self, ends: Points, colour: Any, width: float = 1.5, size: float = 10.0) -> Drawn:
         """An arrow from the first to the second point; NaN hides it."""
-        arrow = _Arrow((0, 0), (0, 0), color=colour, linewidth=width, mutation_scale=size, zorder=5, **ARROW)
+        arrow = _SpaceArrow((0, 0), (0, 0), color=colour, linewidth=width, mutation_scale=size, zorder=5, **ARROW)
         self.ax.add_patch(arrow)
 
         def move(ends: Points) -> None:
@@ -212,7 +212,7 @@ class Turned:
     def body(self, body: Body) -> None:
         """The object."""
         self.ax.add_collection3d(_Faces(body))
-        self.ax.add_collection3d(_Outline(body))
+        self.ax.add_collection3d(_BodyOutline(body))
 
     def window(self, low: Point, high: Point, labels: Sequence[str]) -> None:
         """Limits and labels of the axes, which have the same scale."""
@@ -254,7 +254,7 @@ def _towards(artist: Artist) -> Point:
     return direction_of(axes.elev, axes.azim)
 
 
-class _Seen(Line3D):
+class _VisibleLine(Line3D):
     """The parts of a line that a body does not hide from the camera."""
 
     def __init__(self, *coordinates: Float[np.ndarray, " points"], body: Body, **style: Any):
@@ -270,7 +270,7 @@ class _Seen(Line3D):
         self.stale = False
 
 
-class _Arrow(FancyArrowPatch):
+class _SpaceArrow(FancyArrowPatch):
     ends: Points = np.zeros((2, 3))
 
     def do_3d_projection(self) -> float:
@@ -302,7 +302,7 @@ class _Faces(Poly3DCollection):
         return super().do_3d_projection()
 
 
-class _Outline(Line3DCollection):
+class _BodyOutline(Line3DCollection):
     """The silhouette of a body, and the edges of its cuts."""
 
     def __init__(self, body: Body):

@@ -37,7 +37,7 @@ class PrintedLoad:
 
 
 @dataclass(frozen=True)
-class Table:
+class AppendixTable:
     """A table of the appendix."""
 
     title: str
@@ -53,14 +53,14 @@ def _printed(table: str) -> tuple[PrintedLoad, ...]:
 
 
 TABLES = {
-    "A.1": Table("Reactions under a follower force at the tip", True, _printed("A.1")),
-    "A.2": Table("Reactions under a follower force along the whisker", True, _printed("A.2")),
-    "A.3": Table("Reactions under a force of fixed direction at the tip", False, _printed("A.3"), (MISPRINT,)),
-    "A.4": Table("Reactions under a force of fixed direction along the whisker", False, _printed("A.4")),
+    "A.1": AppendixTable("Reactions under a follower force at the tip", True, _printed("A.1")),
+    "A.2": AppendixTable("Reactions under a follower force along the whisker", True, _printed("A.2")),
+    "A.3": AppendixTable("Reactions under a force of fixed direction at the tip", False, _printed("A.3"), (MISPRINT,)),
+    "A.4": AppendixTable("Reactions under a force of fixed direction along the whisker", False, _printed("A.4")),
 }
 
 
-def bend(table: Table) -> dict[str, Deflection]:
+def bend(table: AppendixTable) -> dict[str, Deflection]:
     """Deflections under every load of the table, by label."""
 
     def one(load: PrintedLoad) -> Deflection:
@@ -70,7 +70,7 @@ def bend(table: Table) -> dict[str, Deflection]:
     return {load.label: one(load) for load in table.loads}
 
 
-def table_rows(table: Table) -> list[list[str]]:
+def table_rows(table: AppendixTable) -> list[list[str]]:
     """Header and one row per load and reaction: jaxwhisker, thesis, their difference, multi-body model."""
     rows = [["load", "reaction", "jaxwhisker", "thesis", "difference", "multi-body"]]
     for load, deflection in zip(table.loads, bend(table).values(), strict=True):
