@@ -1,4 +1,4 @@
-"""Layout: levels of packages, imports that only point down, a test file of each module, names in docs/developing.md."""
+"""Layout: levels of packages, imports that only point down, class names, test files, names in docs/developing.md."""
 
 import ast
 import re
@@ -84,6 +84,16 @@ def test_imports_have_no_cycles():
 
     for module in graph:
         visit(module, ())
+
+
+def test_a_class_name_stands_in_one_module():
+    """One word means one thing: no two modules have classes of the same name, leading underscores aside."""
+    modules: dict[str, set[str]] = {}
+    for file in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                modules.setdefault(node.name.lstrip("_"), set()).add(name_of(file))
+    assert {name: sorted(of) for name, of in modules.items() if len(of) > 1} == {}
 
 
 def test_files_are_short():
