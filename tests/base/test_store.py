@@ -369,6 +369,18 @@ def test_an_entry_with_the_name_of_another_one_is_ignored(folder):
     assert solved(3) == (value, 1)
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_entry_with_a_class_that_was_renamed_is_compiled_again_without_a_warning(folder, monkeypatch):
+    import program_child
+
+    former = type("Former", (), {"__module__": "program_child"})
+    monkeypatch.setattr(program_child, "Former", former, raising=False)
+    store.save("renamed", former())
+    assert isinstance(store.load("renamed"), former)
+    monkeypatch.delattr(program_child, "Former")
+    assert store.load("renamed") is None
+
+
 def test_code_that_xla_cannot_load_is_compiled_again(folder, monkeypatch):
     value, _ = solved(3)
     content = store.load(entry(folder).stem)

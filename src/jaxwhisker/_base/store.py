@@ -170,6 +170,8 @@ def load(name: str) -> Any:
         if data[: len(MAGIC) + DIGEST] != _head(name, content):
             raise ValueError("its checksum is wrong")
         value = pickle.loads(zlib.decompress(content))
+    except (AttributeError, ImportError):  # a class that an earlier version had under this name
+        return None
     except Exception as error:  # whatever is wrong, the program can still be compiled
         _ignored(name, error)
         return None

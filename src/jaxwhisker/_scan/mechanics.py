@@ -97,7 +97,10 @@ class Mechanics(abc.ABC):
     @staticmethod
     @abc.abstractmethod
     def remembered(memory: Memory, path: AnyPath, solutions: Solutions) -> Any:
-        """What the contacts of each step remember: a tree of arrays with a leading axis of steps."""
+        """What the contacts of each step remember: a tree of arrays with a leading axis of steps.
+
+        The path may be None if the memory is.
+        """
 
     @staticmethod
     @abc.abstractmethod

@@ -123,7 +123,7 @@ class Plane(Mechanics):
         return remembered(problem, path, stops)
 
     @staticmethod
-    def remembered(memory: Memory | None, path: Path, solutions: Solutions) -> Places | None:
+    def remembered(memory: Memory | None, path: Path | None, solutions: Solutions) -> Places | None:
         """The places where contacts stick, fields (steps, whiskers)."""
         return None if memory is None else jax.tree.map(lambda leaf: leaf[solutions.node], memory.places)
 

@@ -117,8 +117,8 @@ class Space(Mechanics):
         return linked(problem, path, stops)
 
     @staticmethod
-    def remembered(memory: LinkedNodes | None, path: SpacePath, solutions: Solutions) -> Within | None:
-        if memory is None or path.nodes.mode is None:
+    def remembered(memory: LinkedNodes | None, path: SpacePath | None, solutions: Solutions) -> Within | None:
+        if memory is None or path is None or path.nodes.mode is None:
             return None
         node, end = solutions.node, jnp.minimum(solutions.node + 1, path.count - 1)
         start, before = jax.tree.map(lambda leaf: leaf[node], (memory.point, path.nodes.phase_before))
