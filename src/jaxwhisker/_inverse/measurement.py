@@ -25,8 +25,8 @@ from jaxwhisker._inverse.parameters import check_traceable
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.route import route_through
+from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.slopes import solved_states_now
-from jaxwhisker._scan.space import Space, follow_path_now, problem_now
 from jaxwhisker._space.contact import AHEAD, FORCE, POINT, ROLL, UNKNOWNS, base_of, frame_of, in_drive, on_surface
 from jaxwhisker._space.linear import directions_of, step_along
 from jaxwhisker._space.newton import Phases, phase_by_slack
@@ -103,11 +103,12 @@ class MeasurementModel:
         checks.vector("control", control)
         values = np.asarray(parameters, dtype=float)
         check_traceable(self.build, dict(zip(self.names, values, strict=True)))
-        problem = problem_now(self._scene(values))
-        route, _ = route_through(control)
-        path = follow_path_now(problem, route.stops, np.asarray(route.last)).path
+        scene, (route, _) = self._scene(values), route_through(control)
+        mechanics = mechanics_of(scene)
+        problem = mechanics.problem(scene)
+        path = mechanics.follow(problem, route.stops, np.asarray(route.last)).path
         steps = np.asarray(route.control), np.asarray(route.travel)
-        *_, found = solved_states_now(Space, problem, path, *steps, None)
+        *_, found = solved_states_now(mechanics, problem, path, *steps, None)
         status, phase = Status(int(found.status[-1])), jnp.asarray(found.state[-1])
         if status != Status.ok or not np.any(phase != Phase.free):
             got = "no contact there" if status == Status.ok else f"a scan that ends before ({status.name})"

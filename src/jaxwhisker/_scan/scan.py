@@ -101,8 +101,13 @@ def scan_across(scene: AbstractScene, steps: int) -> Any:
 
 
 def mechanics_of(scene: AbstractScene) -> type[Mechanics]:
-    """The mechanics of a scene: of the plane or of space, which is only loaded if it is needed."""
-    if isinstance(scene, Scene):
+    """The mechanics of a scene."""
+    return mechanics_in(space=not isinstance(scene, Scene))
+
+
+def mechanics_in(*, space: bool) -> type[Mechanics]:
+    """The mechanics of the plane, or of space, which is only loaded if it is needed."""
+    if not space:
         return Plane
     from jaxwhisker._scan.space import Space
 

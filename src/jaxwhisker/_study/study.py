@@ -14,10 +14,11 @@ from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import AbstractScene
-from jaxwhisker._path.path import Status, event_room
-from jaxwhisker._scan.dataset import VARIABLES, SceneLayout, omitted_events, points_in_words
+from jaxwhisker._path.path import Status
+from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
 from jaxwhisker._scan.quantities import Quantity
 from jaxwhisker._scan.result import AbstractResult
+from jaxwhisker._scan.scan import mechanics_in
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
 from jaxwhisker._study.layout import DEFAULT, POINT_STATUS, RESERVED, Layout, chosen, variables_of
 from jaxwhisker._study.parameters import BlockIndex, Blocks, Parameters, blocks_of, parameters_of
@@ -122,17 +123,10 @@ def study(
         job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
         kernel = Kernel(job)
         if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
-            layout = layout._replace(events=_event_room(layout.scene))
+            mechanics = mechanics_in(space=layout.scene.in_space)
+            layout = layout._replace(events=mechanics.event_room(layout.scene.whiskers))
         _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
-
-
-def _event_room(scene: SceneLayout) -> int:
-    if scene.in_space:
-        from jaxwhisker._scan.space import Space
-
-        return Space.event_room(scene.whiskers)
-    return event_room(scene.whiskers)
 
 
 def _check_names(parameters: Parameters, variables: dict[str, Quantity], channels: Sequence[str]) -> None:
