@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from engine import dimensionless
 from jaxwhisker._base.checks import as_float
 from jaxwhisker._base.program import compilations
 from jaxwhisker._equilibrium.contact_state import ContactState
@@ -21,6 +22,7 @@ from jaxwhisker._model.canonical import canonical
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.plane import Plane, canonical_problem_now, follow_path_now, problem_now
 from jaxwhisker._scan.route import across
+from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.slopes import event_slopes_now, events_now, solved_states_now, state_slopes_now
 from operations import operations, rods, traced
 from scenes import model
@@ -161,6 +163,25 @@ def test_programs_are_compiled_once_and_when_they_are_first_needed():
     assert compiled(lambda scene: jax.vmap(lambda u: mz(moved(scene, u)))(jnp.array([0.2, 0.3]))) == 0
     for again in (mz, event, jax.jacrev(mz), jax.jacfwd(event)):
         assert compiled(again) == 0
+
+
+# Operations of the paths of one whisker with jax 0.10, of which jax 0.12 traces up to a fifth fewer.
+BEFORE, SPHERE = jw.Parabola(0.2), jw.Sphere(1.0, (0.0, 1.3, -0.2))
+PATHS = {
+    "plane": (jw.Scene(jw.Whisker(), BEFORE, jw.Support.fb(70.0)), 4078),
+    "plane, friction": (jw.Scene(jw.Whisker(), BEFORE, jw.Support.fb(70.0), friction=0.3), 7726),
+    "space": (jw.Scene(jw.Whisker(), SPHERE), 7878),
+    "space, friction": (jw.Scene(jw.Whisker(), SPHERE, friction=0.3), 9965),
+}
+PATH_GROWTH = 1.03  # a change that adds more needs a reason: users wait for the path first
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_path_has_a_limited_number_of_operations(name):
+    scene, most = PATHS[name]
+    mechanics = mechanics_of(scene)
+    whole = traced(lambda problem: mechanics.follow(problem, *map(jnp.asarray, across())), dimensionless(scene))
+    assert 0.8 * most < operations(whole) < PATH_GROWTH * most
 
 
 # For FB: operations of StableHLO with jax 0.10 (jax 0.12 has fewer), and fusions of XLA with jax 0.10 and 0.12, which
