@@ -78,7 +78,7 @@ def memory_slopes(
 
 def remember(mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]) -> Memory:
     """What contacts with friction remember at the nodes of a path, with derivatives."""
-    return mechanics.remember(problem, path, stops)
+    return mechanics.remember(problem, path, jnp.asarray(stops))
 
 
 def _event_places(mechanics: type[Mechanics], path: AnyPath, room: int | None = None) -> Int[Array, " events"]:
