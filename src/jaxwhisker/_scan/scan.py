@@ -187,13 +187,13 @@ def _result(
     if lengths.shape[1] != springs:
         some = lengths if checks.is_traced(lengths) else np.asarray(lengths)
         lengths = jnp.asarray(some[:, :springs])
-    room = room_for(path.nodes, path.count, mechanics.event_room(len(scene.whiskers)))
+    usual = mechanics.event_room(len(scene.whiskers))
     return mechanics.result(
         **{name: getattr(state, name) for name in type(state).__dataclass_fields__},
         control=control,
         spring_length=lengths,
         status=status,
-        deferred_events=lambda: events_now(mechanics, problem, path, memory, *room),
+        deferred_events=lambda: events_now(mechanics, problem, path, memory, *room_for(path.nodes, path.count, usual)),
         scene=scene,
     )
 
