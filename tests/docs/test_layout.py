@@ -145,7 +145,12 @@ def test_a_feature_stands_in_few_files(example, names):
 
 
 def test_the_march_leaves_friction_to_its_law():
-    asking = {file.name for file in (PACKAGE / "_path").glob("*.py") if ASKS.search(file.read_text("utf-8"))}
+    asking = {
+        file.name
+        for package in ("_path", "_plane")
+        for file in (PACKAGE / package).glob("*.py")
+        if ASKS.search(file.read_text("utf-8"))
+    }
     # Compose laws, choose the steps of a flow, and check the energies of snaps, which only friction raises.
     assert asking == {"events.py", "law.py", "snap_flow.py", "gains.py"}
 

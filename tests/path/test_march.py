@@ -1,7 +1,5 @@
 """The march: nodes, events and ends of a path, in one program for FB."""
 
-from functools import partial
-
 import equinox as eqx
 import exact
 import jax
@@ -17,8 +15,9 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import newton_step
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
-from jaxwhisker._path.march import march, no_path
+from jaxwhisker._path.march import march
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status
+from jaxwhisker._plane.continuation import ContinuationInPlane
 
 EVENT = 1e-9  # positions of events: folds are located to the square of 1e-9, the others solved for
 EXACT = 1e-9  # nodes are solved for
@@ -27,7 +26,11 @@ CAPACITY = 192
 STOPS = 24  # of a path, padded
 STIFF, SOFT = 70.0, 10.0
 
-marching = Program(partial(march, capacity=CAPACITY))
+
+@Program
+def marching(problem, stops, last):
+    mechanics = ContinuationInPlane(problem)
+    return march(mechanics, mechanics.limits(stops[0]), stops, last, capacity=CAPACITY)
 
 
 def followed(problem, *stops):
@@ -154,12 +157,3 @@ def test_too_many_turns_are_too_long(problem):
     nodes, status = followed(problem, *there_and_back)
     assert status == Status.too_long
     assert nodes.kind.size == CAPACITY
-
-
-def test_a_path_without_nodes_has_the_size_of_a_path(problem):
-    none = eqx.filter_eval_shape(no_path, problem, CAPACITY)
-    path = eqx.filter_eval_shape(marching.function, problem, jnp.zeros(2), jnp.asarray(1))
-    assert jax.tree.structure(none) == jax.tree.structure(path)
-    assert jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), none) == jax.tree.map(
-        lambda leaf: (leaf.shape, leaf.dtype), path
-    )

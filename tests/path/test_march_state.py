@@ -1,29 +1,22 @@
-"""The state of a march: how it starts and ends."""
+"""The state of a march: how it stops, and its plain nodes."""
 
 import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begun_march, dimensionless
 from exact_contacts import scene
-from jaxwhisker._base.program import Program
-from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.march import _start
 from jaxwhisker._path.march_state import Task
-from jaxwhisker._path.path import Status
-
-ROUNDING = 1e-12
+from jaxwhisker._path.path import NO_EVENT
 
 
-def test_a_march_starts_free_ahead_of_the_object():
-    march = Program(_start)(dimensionless(scene(jw.Support.fb(70.0))), jnp.array([0.3, -1.0]))
-    assert march.task == Task.arrive and march.status == Status.ok and march.count == 0
-    assert march.state.phase.tolist() == [Phase.free] and march.state.side.tolist() == [1.0]
-    np.testing.assert_allclose(march.pose[0, 0], march.point.u + 0.2, rtol=ROUNDING)
-    assert march.point.u > np.sqrt(0.8) - 0.2
-    # What lies ahead of the first stop is travelled before travel counts.
-    np.testing.assert_allclose(march.travel, 0.3 - march.point.u, rtol=ROUNDING)
-    # The drive moves towards -x: du/ds counts as positive.
-    assert march.drive_rate(march.tangent) == 1.0
-    ended = march.stopped(Status.lost)
-    assert ended.task == Task.done and ended.status == Status.lost
+def test_a_march_stops_with_its_status_and_writes_plain_nodes():
+    march = begun_march(dimensionless(scene(jw.Support.fb(70.0))), jnp.array([1.0, -1.0]))
+    stopped = march.stopped(jw.Status.lost)
+    assert int(stopped.task) == Task.done and int(stopped.status) == jw.Status.lost
+    assert stopped.point is march.point
+    ahead = march.point._replace(u=march.point.u - 0.5)
+    node = march.node(ahead, march.tangent)
+    assert int(node.kind) == NO_EVENT and not np.any(node.whiskers)
+    assert node.before is node.state is march.state and node.z_before is ahead.z
+    np.testing.assert_allclose(node.travel, march.travel + 0.5, rtol=1e-12)

@@ -12,8 +12,8 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, PathDirection, Seen, margin_rates, margins
 from jaxwhisker._path.path import EventKind, Status, first_case, select
+from jaxwhisker._plane.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, PathDirection, Seen, margin_rates, margins
 
 DIFFERENCE = 1e-9  # margins are linear in point and pose: central differences are exact to rounding
 

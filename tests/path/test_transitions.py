@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begun_march, dimensionless
 from exact_contacts import scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
@@ -14,30 +14,30 @@ from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import Condensed, NewtonStep
 from jaxwhisker._equilibrium.point import Point, along
 from jaxwhisker._equilibrium.solver import Solution
-from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, events_of, facts_of
-from jaxwhisker._path.law import FOLD_SLOPE
-from jaxwhisker._path.march import _start
-from jaxwhisker._path.march_state import Task, Trial
+from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Status
-from jaxwhisker._path.transitions import (
-    LONGEST_STEP,
-    NEAR_FOLD,
-    PREDICTION_ERROR,
-    SHORTEST_STEP,
-    _is_over,
-    after_advance,
-    after_event,
-)
+from jaxwhisker._path.transitions import PREDICTION_ERROR, SHORTER, SHORTEST_STEP, after_advance, after_event
+from jaxwhisker._plane.continuation import LONGEST_STEP, NEAR_FOLD, ContinuationInPlane
+from jaxwhisker._plane.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX, events_of, facts_of
+from jaxwhisker._plane.law import FOLD_SLOPE
+from jaxwhisker._plane.march_state import Proposed, TrialInPlane
 
 ROUNDING = 1e-12
 STEP, TRAVEL, DRIVEN = 0.05, 0.9, 0.1
-SHORTER = 0.4  # of a step that was too long, to try again
 AT = Point(jnp.array([[2.0, 0.6, -0.4]]), jnp.asarray(0.1))
 ONWARDS = Point(jnp.array([[0.0, 0.8, 0.0]]), jnp.asarray(-0.6))  # of unit length; the drive moves towards -x
 BACK = Point(jnp.array([[0.0, 0.98, 0.0]]), jnp.asarray(np.sqrt(1 - 0.98**2)))  # the drive moves back
 
-started = Program(_start)
-advanced, arrived = Program(after_advance), Program(after_event)
+
+def _advanced(problem, march, trial):
+    return after_advance(ContinuationInPlane(problem), march, trial)
+
+
+def _arrived(problem, march, trial):
+    return after_event(ContinuationInPlane(problem), march, trial)
+
+
+advanced, arrived = Program(_advanced), Program(_arrived)
 
 
 class March:
@@ -45,10 +45,10 @@ class March:
 
     def __init__(self, **options):
         self.problem = dimensionless(scene(jw.Support.fb(70.0), **options))
-        begun = started(self.problem, jnp.array([1.0, -1.0]))
+        begun = begun_march(self.problem, jnp.array([1.0, -1.0]))
         self.pose = jnp.full((1, self.problem.axes), 0.3)
         touching = begun.state._replace(phase=jnp.array([int(Phase.tip)]))
-        self.state = begun._replace(
+        self.state = begun.replace(
             task=jnp.asarray(int(Task.advance)),
             state=touching,
             point=AT,
@@ -61,7 +61,19 @@ class March:
         )
 
     def trial(
-        self, end, tangent=ONWARDS, *, converged=True, stable=True, sound=True, here=None, there=None, rates=(), **more
+        self,
+        end,
+        guess=None,
+        facts=None,
+        tangent=ONWARDS,
+        *,
+        converged=True,
+        stable=True,
+        sound=True,
+        here=None,
+        there=None,
+        rates=(),
+        **more,
     ):
         """A trial step with this end, whose margins are 1 unless others are given by the numbers of their events."""
         axes = self.problem.axes
@@ -73,7 +85,8 @@ class March:
         margins = []
         for given in (here or {}, there or {}):
             margins.append(tuple(jnp.array([given.get(k, 1.0)]) for k in range(len(events_of(self.problem)))))
-        return Trial(
+        return TrialInPlane(
+            Proposed(end if guess is None else guess, facts, self.state.flow),
             Solution(end, newton, jnp.asarray(converged), jnp.asarray(1)),
             tangent,
             self.state.tangent_pose,
@@ -93,17 +106,19 @@ class March:
         guess = along(state.point, state.tangent, state.step)
         found = guess._replace(z=guess.z + jnp.array([miss]))
         found, guess = (found, guess) if end is None else (end, end)
-        return advanced(self.problem, state, self.trial(found, **trial), guess)
+        return advanced(self.problem, state, self.trial(found, guess, **trial))
 
     def event(self, number, state=None, *, distance=STEP / 2, end=None, **trial):
         """The march after it has solved for an event."""
         state = self.state if state is None else state
         one = jnp.array([number != AT_STOP])
-        target = state.target._replace(number=jnp.asarray(number), whisker=one, phase=jnp.array([int(Phase.tip)]))
+        target = state.target
+        first = target.first._replace(phase=jnp.array([int(Phase.tip)]))
+        target = target._replace(number=jnp.asarray(number), whiskers=one, first=first)
         facts = facts_of(events_of(self.problem), target.number, jnp.any(one & (state.state.phase == Phase.tip)))
-        state = state._replace(task=jnp.asarray(int(Task.event)), target=target)
+        state = state.replace(task=jnp.asarray(int(Task.event)), target=target)
         end = along(AT, state.tangent, jnp.asarray(distance)) if end is None else end
-        return arrived(self.problem, state, self.trial(end, **trial), facts)
+        return arrived(self.problem, state, self.trial(end, None, facts, **trial))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +127,7 @@ def march():
 
 
 def with_phase(state, phase):
-    return state._replace(state=state.state._replace(phase=jnp.array([int(phase)])))
+    return state.replace(state=state.state._replace(phase=jnp.array([int(phase)])))
 
 
 def check_tries_again(outcome, step, point=AT):
@@ -151,7 +166,7 @@ def test_errors_of_predictions_are_cubes_of_steps(march, error, factor):
 
 
 def test_contacts_change_by_a_quarter_at_most_in_a_step(march):
-    long = march.state._replace(step=jnp.asarray(0.2))
+    long = march.state.replace(step=jnp.asarray(0.2))
     np.testing.assert_allclose(march.advance(long)[0].step, LONGEST_STEP / 0.8, rtol=ROUNDING)
     # Free whiskers have none.
     np.testing.assert_allclose(march.advance(with_phase(long, Phase.free))[0].step, 2.5 * 0.2, rtol=ROUNDING)
@@ -167,11 +182,11 @@ TOO_LONG = {
 @pytest.mark.parametrize("reason", TOO_LONG)
 def test_too_long_a_step_is_shortened_until_nothing_is_left_of_it(march, reason):
     check_tries_again(march.advance(**TOO_LONG[reason]), SHORTER * STEP)
-    shortest = march.state._replace(step=jnp.asarray(SHORTEST_STEP))
+    shortest = march.state.replace(step=jnp.asarray(SHORTEST_STEP))
     new, write, _ = march.advance(shortest, **TOO_LONG[reason])
     assert new.task == Task.done and new.status == Status.lost and not write
     # Where a loss of stability is known to be near, it counts as located.
-    new, write, _ = march.advance(shortest._replace(unstable_at=jnp.asarray(NEAR_FOLD / 2)), **TOO_LONG[reason])
+    new, write, _ = march.advance(shortest.replace(unstable_at=jnp.asarray(NEAR_FOLD / 2)), **TOO_LONG[reason])
     assert new.task == Task.kick and not write
 
 
@@ -179,7 +194,7 @@ def test_too_long_a_step_is_shortened_until_nothing_is_left_of_it(march, reason)
 def test_an_event_within_a_step_is_solved_for(march, stable):
     new, write, _ = march.advance(there={RELEASE: -3.0}, stable=stable)
     assert new.task == Task.event and not write
-    assert new.target.number == RELEASE and new.target.whisker.all()
+    assert new.target.number == RELEASE and new.target.whiskers.all()
     np.testing.assert_allclose(new.target.distance, STEP / 4, rtol=ROUNDING)
     np.testing.assert_array_equal(new.point.z, AT.z)
 
@@ -193,7 +208,7 @@ def bending(force_rate):
 def test_a_step_in_which_an_event_happens_and_is_undone_is_tried_again_up_to_its_middle(march):
     # The margin is a parabola, which falls by a quarter of the rate times the step.
     before, after = bending(0.6)
-    falling, low = march.state._replace(tangent=before), 0.6 * STEP / 4
+    falling, low = march.state.replace(tangent=before), 0.6 * STEP / 4
     trial = {"tangent": after, "here": {RELEASE: 0.9 * low}, "there": {RELEASE: 0.9 * low}}
     check_tries_again(march.advance(falling, **trial), STEP / 2)
     above = {RELEASE: 1.1 * low}
@@ -205,7 +220,7 @@ def test_a_step_in_which_the_drive_may_turn_twice_is_tried_again_up_to_its_middl
     # du/ds is the parabola 1 - 5 t + 5 t^2, of mean 1/6.
     straight = Point(0 * AT.z, jnp.asarray(-1.0))
     end = Point(AT.z, AT.u - STEP / 6)
-    state = march.state._replace(tangent=straight)
+    state = march.state.replace(tangent=straight)
     check_tries_again(march.advance(state, end=end, tangent=straight), STEP / 2)
 
 
@@ -223,14 +238,14 @@ def test_a_loss_of_stability_within_a_step_is_a_secant_away(march):
 
 
 def test_steps_approach_a_known_loss_of_stability(march):
-    known = march.state._replace(unstable_at=jnp.asarray(3 * STEP), unstable_turns=jnp.array([-0.4]))
+    known = march.state.replace(unstable_at=jnp.asarray(3 * STEP), unstable_turns=jnp.array([-0.4]))
     new, write, _ = march.advance(known)
     assert write
     # The Illinois rule halves what is known of the far end.
     np.testing.assert_allclose([new.unstable_at, new.unstable_turns[0]], [2 * STEP, -0.2], rtol=ROUNDING)
     np.testing.assert_allclose(new.step, 2 * STEP * 0.6 / (0.6 + 0.2), rtol=ROUNDING)
     # If the path is still stable where it was thought to be lost, the loss is not known any more.
-    new, _, _ = march.advance(known._replace(unstable_at=jnp.asarray(STEP)))
+    new, _, _ = march.advance(known.replace(unstable_at=jnp.asarray(STEP)))
     assert new.unstable_at == jnp.inf
 
 
@@ -238,7 +253,7 @@ def test_steps_approach_a_known_loss_of_stability(march):
 def test_a_snap_begins_at_a_fold(march, stable):
     # Where the drive turns back, the path is unstable, or still stable where a loss is known to be ahead.
     fold = Point(jnp.array([[0.0, 1.0, 0.0]]), jnp.asarray(FOLD_SLOPE / 2))
-    state = march.state._replace(unstable_at=jnp.asarray(2 * STEP if stable else np.inf))
+    state = march.state.replace(unstable_at=jnp.asarray(2 * STEP if stable else np.inf))
     new, write, _ = march.advance(state, tangent=fold, stable=stable)
     assert write and new.task == Task.kick
     np.testing.assert_allclose(new.point.z, along(AT, ONWARDS, STEP).z, rtol=ROUNDING)
@@ -292,10 +307,10 @@ def test_after_a_release_the_whisker_is_free_and_leaves_where_the_contact_would_
 
 
 def test_a_touch_begins_a_contact_of_growing_force(march):
-    free = with_phase(march.state, Phase.free)._replace(point=Point(0 * AT.z, AT.u))
+    free = with_phase(march.state, Phase.free).replace(point=Point(0 * AT.z, AT.u))
     first = Point(jnp.array([[0.0, 0.7, -0.3]]), AT.u - 0.6 * STEP / 2)
     still = Point(0 * AT.z, jnp.asarray(-1.0))
-    outcome = march.event(TOUCH, free._replace(tangent=still), end=first, tangent=still)
+    outcome = march.event(TOUCH, free.replace(tangent=still), end=first, tangent=still)
     new, _, node = outcome
     check_arrives(outcome, EventKind.touch, [1.0, 0.0, 0.0])
     assert new.state.phase.tolist() == [Phase.tip]
@@ -314,7 +329,7 @@ def test_beyond_the_vertex_the_path_goes_on(march):
 
 @pytest.mark.parametrize(("goal", "travel"), [(0, 0.0), (1, TRAVEL + 0.6 * STEP / 2)])
 def test_travel_counts_from_the_first_stop(march, goal, travel):
-    outcome = march.event(AT_STOP, march.state._replace(goal=jnp.asarray(goal)))
+    outcome = march.event(AT_STOP, march.state.replace(goal=jnp.asarray(goal)))
     new, _, node = outcome
     check_arrives(outcome, STOP, [0.0, 0.8, 0.0])
     assert new.goal == goal + 1 and not node.whiskers.any()
@@ -335,14 +350,14 @@ def test_an_event_that_is_missed_is_approached_by_a_shorter_step(march, reason):
 
 
 def test_a_march_is_lost_where_no_shorter_step_leads_to_an_event(march):
-    shortest = march.state._replace(step=jnp.asarray(SHORTEST_STEP))
+    shortest = march.state.replace(step=jnp.asarray(SHORTEST_STEP))
     new, _, _ = march.event(RELEASE, shortest, distance=SHORTEST_STEP, converged=False)
     assert new.task == Task.done and new.status == Status.lost
 
 
 def test_an_event_before_the_one_that_was_solved_for_comes_first(march):
     new, _, _ = march.event(AT_STOP, distance=STEP, there={PHASE: -3.0})
-    assert new.task == Task.event and new.target.number == PHASE and new.target.whisker.all()
+    assert new.task == Task.event and new.target.number == PHASE and new.target.whiskers.all()
     np.testing.assert_allclose(new.target.distance, STEP / 4, rtol=ROUNDING)
 
 
@@ -351,7 +366,7 @@ def rough():
     """The same with friction, whose contact sticks."""
     march = March(friction=0.3)
     sticking = Friction(jnp.zeros(1, int), jnp.array([0.6]), jnp.zeros(1))
-    march.state = march.state._replace(state=march.state.state._replace(friction=sticking))
+    march.state = march.state.replace(state=march.state.state._replace(friction=sticking))
     return march
 
 
@@ -363,24 +378,23 @@ def test_a_stable_path_with_friction_does_not_turn_back(march, rough):
 
 def test_a_small_force_of_a_contact_that_sticks_must_be_near_its_prediction(rough):
     friction = {"rates": jnp.array([jnp.inf]), "parameters": jnp.array([0.6])}
-    light = rough.state._replace(point=AT._replace(z=AT.z.at[0, 0].set(1e-3)))
+    light = rough.state.replace(point=AT._replace(z=AT.z.at[0, 0].set(1e-3)))
     assert rough.advance(light, miss=(4e-4, 0.0, 0.0), **friction)[1]
     check_tries_again(rough.advance(light, miss=(6e-4, 0.0, 0.0), **friction), SHORTER * STEP, light.point)
 
 
 @pytest.mark.parametrize(
-    ("goal", "direction", "x", "at_stop", "over"),
+    ("goal", "direction", "x", "over"),
     [
-        (1, -1.0, -2.0, False, True),  # on the last leg, beyond the object
-        (1, -1.0, -0.3, False, False),  # ... still before it
-        (0, -1.0, -2.0, False, False),  # on the way to the first stop
-        (1, 1.0, -2.0, False, False),  # on the way back, towards the object
-        (2, -1.0, -0.3, True, True),  # at the last stop
-        (1, -1.0, -0.3, True, False),  # at an earlier stop
+        (1, -1.0, -2.0, True),  # on the last leg, beyond the object
+        (1, -1.0, -0.3, False),  # ... still before it
+        (0, -1.0, -2.0, False),  # on the way to the first stop
+        (1, 1.0, -2.0, False),  # on the way back, towards the object
     ],
 )
-def test_the_end_of_a_march(march, goal, direction, x, at_stop, over):
+def test_a_march_is_over_beyond_the_object(march, goal, direction, x, over):
     free = march.state.state._replace(phase=jnp.array([int(Phase.free)]), side=-jnp.ones(1))
-    at = march.state._replace(goal=jnp.asarray(goal), direction=jnp.asarray(direction), state=free)
+    at = march.state.replace(goal=jnp.asarray(goal), direction=jnp.asarray(direction), state=free)
     trial = march.trial(AT)._replace(stance=march.problem.stance(0.0, jnp.array([[x]])))
-    assert bool(_is_over(march.problem, at, trial, jnp.asarray(1), jnp.asarray(at_stop))) == over
+    gone = ContinuationInPlane(march.problem).is_over(at, trial, jnp.asarray(1))
+    assert bool(gone) == over

@@ -14,7 +14,7 @@ from jaxwhisker._base.program import _split
 from jaxwhisker._equilibrium.dimensionless import problem_of
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import moves_along_x
-from jaxwhisker._path.march import capacity_of
+from jaxwhisker._plane.continuation import ContinuationInPlane
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.route import route_of
 from jaxwhisker._scan.springs import suspension
@@ -107,7 +107,7 @@ def programs(one, control=None):
 
     def traced(one):
         problem = problem_of(one)
-        capacity.append(capacity_of(problem, stops))
+        capacity.append(ContinuationInPlane(problem).capacity(stops))
         return problem
 
     problem = shape_of(eqx.filter_eval_shape(traced, one))

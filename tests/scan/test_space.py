@@ -30,7 +30,7 @@ def solve(problem, path, control):
 
 def test_the_path_predicts_the_contacts_between_its_nodes():
     problem, path = problem_and_path()
-    touching = np.flatnonzero(np.asarray(path.nodes.phase)[: int(path.count) - 1, 0] != Phase.free)
+    touching = np.flatnonzero(np.asarray(path.nodes.state.phase)[: int(path.count) - 1, 0] != Phase.free)
     u = np.asarray(path.nodes.point.u)
     middle = (u[touching] + u[touching + 1]) / 2
     at = jax.vmap(lambda index, u: interpolate(path, index, u))(jnp.asarray(touching), jnp.asarray(middle))

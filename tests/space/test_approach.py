@@ -21,7 +21,7 @@ TOUCH = 1e-7  # the values are rounded to as many digits
 )
 def test_a_scan_along_a_line_begins_free_and_ends_where_no_whisker_reaches(body):
     problem = dimensionless(jw.SpaceScene(jw.Whisker(), body, motion=jw.LinearDrive((-1.0, 0.1, 0.2))))
-    start, far = limits_of(problem, WHOLE)
+    start, _, far = limits_of(problem, WHOLE)
     assert clearance(problem, start) > 0
     assert clearance(problem, start) > clearance(problem, start + 1e-3)
     assert clearance(problem, far) > REACH
@@ -33,7 +33,7 @@ def test_a_scan_that_begins_in_contact_is_approached_from_where_the_whisker_is_f
     problem = dimensionless(
         jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1, 0, 0)))
     )
-    start, _ = limits_of(problem, jnp.asarray(-0.2))
+    start, *_ = limits_of(problem, jnp.asarray(-0.2))
     assert start < -0.9
     assert clearance(problem, start) > 0
 
@@ -41,9 +41,9 @@ def test_a_scan_that_begins_in_contact_is_approached_from_where_the_whisker_is_f
 def test_a_rotation_begins_and_ends_at_its_own_controls():
     drive = jw.WhiskDrive(start=0.8, stop=-0.5)
     problem = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.3, (0.0, 0.7, 0.2)), motion=drive))
-    np.testing.assert_allclose(limits_of(problem, WHOLE), [0.8, -0.5])
-    np.testing.assert_allclose(limits_of(problem, jnp.asarray(0.2)), [0.8, -0.5])
-    np.testing.assert_allclose(limits_of(problem, jnp.asarray(1.1)), [1.1, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, WHOLE)), [0.8, -0.5, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(0.2))), [0.8, -0.5, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(1.1))), [1.1, -0.5, -0.5])
 
 
 def lean(angle):
@@ -94,7 +94,7 @@ def test_whiskers_that_lean_towards_the_motion_do_not_begin_beyond_the_object(na
 def test_scans_begin_before_the_first_touch_of_any_whisker(scene, touch):
     # The first whisker of the network stands beyond the object where the middle of the bases is beside it.
     problem = dimensionless(scene)
-    start, _ = limits_of(problem, WHOLE)
+    start, *_ = limits_of(problem, WHOLE)
     assert problem.onwards * (start - touch) < 0
     before = np.linspace(start, touch - 1e-6 * problem.onwards, 200)
     assert min(float(clearance(problem, u)) for u in before[::20]) > 0

@@ -31,7 +31,7 @@ def test_the_shape_runs_from_the_contact_to_the_base_and_to_the_tip(whisker, fri
     problem = problem_now(scene)
     path = follow_path_now(problem, np.array([-1.2, 0.0]), np.asarray(1)).path
     at = int(path.count) - 1
-    z, phase = path.nodes.point.z[at], path.nodes.phase[at]
+    z, phase = path.nodes.point.z[at], path.nodes.state.phase[at]
     line = np.asarray(of_each(problem, lambda *own: shape(problem, *own), z, phase))[0]
     assert line.shape == (LOADED + UNLOADED + 1, 3)
     np.testing.assert_allclose(line[0], z[0, 3:6], atol=1e-12)

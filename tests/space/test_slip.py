@@ -16,6 +16,7 @@ from jaxwhisker._space.slip import (
     ContactMotion,
     SlipMode,
     SlipState,
+    SpaceContactState,
     _law,
     as_felt,
     defect_of,
@@ -24,10 +25,10 @@ from jaxwhisker._space.slip import (
     following,
     grip_of,
     laws,
+    mode_after,
+    mode_at_corner,
     next_guess,
     radau,
-    slip_after,
-    slip_at_corner,
     speeds,
     stages_of,
     without_traction,
@@ -44,8 +45,8 @@ def contact(force=1.0, slack=-0.1, point=(0.0, 1.0, 0.0), ahead=(1.0, 0.0, 0.0),
     return jnp.array([[force, 0.0, slack, *point, *ahead, *traction]])
 
 
-def state(mode=SLIPS, begins=False):
-    return SlipState(mode, jnp.asarray(0), jnp.asarray(False), jnp.array([begins]), jnp.asarray(0))
+def state(begins=False):
+    return SlipState(jnp.asarray(0), jnp.asarray(False), jnp.array([begins]), jnp.asarray(0))
 
 
 def test_radau_has_its_published_coefficients():
@@ -145,25 +146,26 @@ def test_a_tip_that_does_not_move_slips_down_first():
 
 
 def test_guesses_turn_to_both_sides_and_end_with_sticking():
-    slip, traction, angles = state(begins=True), jnp.array([[1.0, 0.0]]), []
+    slip, mode, traction, angles = state(begins=True), SLIPS, jnp.array([[1.0, 0.0]]), []
     for _ in range(3):
-        slip, traction = next_guess(slip, traction)
+        slip, mode, traction = next_guess(slip, mode, traction)
         angles.append(float(jnp.arctan2(traction[0, 1], traction[0, 0])))
     np.testing.assert_allclose(angles, [np.pi / 3, -np.pi / 3, 0.0], atol=ROUNDING)
-    assert int(slip.mode[0]) == SlipMode.sticks
-    slip, _ = next_guess(slip, traction)
-    assert int(slip.mode[0]) == SlipMode.slips
+    assert int(mode[0]) == SlipMode.sticks
+    slip, mode, _ = next_guess(slip, mode, traction)
+    assert int(mode[0]) == SlipMode.slips
     assert int(slip.guess) == 0
 
 
 def test_where_the_drive_turns_all_stick_and_a_new_contact_slips():
     no, yes = jnp.array([False]), jnp.array([True])
-    assert int(slip_after(state(), no, jnp.asarray(True), no).mode[0]) == SlipMode.sticks
-    assert int(slip_after(state(), yes, jnp.asarray(False), no).mode[0]) == SlipMode.sticks
-    assert int(slip_after(state(STICKS), yes, jnp.asarray(False), no).mode[0]) == SlipMode.slips
-    new = slip_after(state(STICKS), no, jnp.asarray(False), yes)
-    assert int(new.mode[0]) == SlipMode.slips
-    assert bool(new.begins[0])
+    for mode, grips, turns, touches, then in (
+        (SLIPS, no, True, no, SlipMode.sticks),
+        (SLIPS, yes, False, no, SlipMode.sticks),
+        (STICKS, yes, False, no, SlipMode.slips),
+        (STICKS, no, False, yes, SlipMode.slips),
+    ):
+        assert int(mode_after(mode, grips, jnp.asarray(turns), touches)[0]) == then
 
 
 def test_at_a_corner_contacts_do_not_slip_with_their_traction():
@@ -171,11 +173,13 @@ def test_at_a_corner_contacts_do_not_slip_with_their_traction():
     here = Point(contact(traction=(1.0, 0.0)), jnp.asarray(0.0))
     rate = jnp.zeros((1, 11)).at[0, POINT].set(jnp.array([0.5, 0.0, 0.0])).at[0, TRACTION].set(jnp.array([0.4, 0.0]))
     for sign, mode, after in ((1, SLIPS, SlipMode.sticks), (-1, SLIPS, SlipMode.slips)):
-        slip, _ = slip_at_corner(problem, state(mode), TIP, here, Point(sign * rate, jnp.asarray(1.0)))
-        assert int(slip.mode[0]) == after
+        now, ahead = SpaceContactState(TIP, mode), Point(sign * rate, jnp.asarray(1.0))
+        new, _ = mode_at_corner(problem, now, jnp.array([False]), here, ahead)
+        assert int(new[0]) == after
     for sign, after in ((1, SlipMode.slips), (-1, SlipMode.sticks)):
-        slip, _ = slip_at_corner(problem, state(STICKS), TIP, here, Point(sign * rate, jnp.asarray(1.0)))
-        assert int(slip.mode[0]) == after
+        now, ahead = SpaceContactState(TIP, STICKS), Point(sign * rate, jnp.asarray(1.0))
+        new, _ = mode_at_corner(problem, now, jnp.array([False]), here, ahead)
+        assert int(new[0]) == after
 
 
 def test_a_step_begins_and_ends_in_the_direction_of_its_polynomial():

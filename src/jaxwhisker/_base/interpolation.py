@@ -31,6 +31,13 @@ class Cubic(NamedTuple):
         bend, twist = self._powers()
         return self.leaving + t * (2 * bend + t * 3 * twist)
 
+    def valley(self) -> Values:
+        """The t at which it is least, if it falls at the start and rises at the end; otherwise 1."""
+        bend, twist = self._powers()
+        turns = (self.leaving < 0) & (self.arriving > 0)
+        root = jnp.sqrt(jnp.where(turns, bend**2 - 3 * twist * self.leaving, 1.0))
+        return jnp.where(turns, -self.leaving / jnp.where(turns, bend + root, 1.0), 1.0)
+
     def least(self) -> Float[Array, "..."]:
         """The smallest value between the ends, in closed form."""
         bend, twist = self._powers()

@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import NamedInt, Scalar
-from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Contacts, Point
 
 
@@ -63,13 +62,15 @@ class Node(NamedTuple):
     z_before: Contacts  # contacts on arrival, which differ if they begin or end here
     arriving: Point  # tangents, of unit length in the scale of the point
     leaving: Point
-    state: ContactState  # from here on
-    before: ContactState  # on arrival
+    state: Any  # of the contacts, from here on; `phase` is one of its fields
+    before: Any  # on arrival
     travel: Float[Array, ""]  # distance that the drive has travelled since the first step; negative on the approach
     kind: Int[Array, ""]  # EventKind, NO_EVENT or STOP
     whiskers: Bool[Array, " whiskers"]  # those that the event concerns
-    stop: Int[Array, ""] | None = None  # index of the next stop; None without friction, which remembers stops
-    corner: Bool[Array, ""] | None = None  # whether contacts stick or slip at the node before; None without friction
+    # What contacts with friction remember; None without.
+    stop: Int[Array, ""] | None = None  # in the plane: index of the next stop
+    corner: Bool[Array, ""] | None = None  # in the plane: whether contacts stick or slip at the node before
+    inner: Point | None = None  # in space: the other stages of the step that ends here, fields (stages - 1, ...)
 
 
 def is_snap(kind: Int[Array, "*nodes"]) -> Bool[Array, "*nodes"]:
@@ -88,7 +89,7 @@ class Path(NamedTuple):
 class ScanPath(NamedTuple):
     """A path, and the range of the control in which whiskers touch the object."""
 
-    path: Any  # a Path; in space, a SpacePath
+    path: Path
     start: Float[Array, ""]
     stop: Float[Array, ""]
 

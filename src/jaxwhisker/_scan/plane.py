@@ -24,10 +24,9 @@ from jaxwhisker._equilibrium.solver import solve_points
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
-from jaxwhisker._path.approach import approach_of
-from jaxwhisker._path.gains import without_gains
-from jaxwhisker._path.march import capacity_of, march, sweeps_of
+from jaxwhisker._path.march import follow, sweeps_of
 from jaxwhisker._path.path import Node, Path, ScanPath, Status, event_room
+from jaxwhisker._plane.continuation import ContinuationInPlane
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
@@ -50,14 +49,7 @@ def follow_path(
     derivatives: they are attached to what is computed from it.
     """
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
-    unit, approach = problem.unit, approach_of(problem)
-    limits, whole = approach.limits(), jnp.isnan(stops[0])
-    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops / unit.control)
-    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
-    path = march(problem, stops, jnp.asarray(last), capacity=capacity)
-    path, start, stop = approach.crop(path, whole, limits)
-    path = without_gains(problem, path)
-    return ScanPath(path, jnp.asarray(start * unit.control), jnp.asarray(stop * unit.control))
+    return follow(ContinuationInPlane(problem), stops, last, sweeps)
 
 
 def path_through(problem: Problem, kinds: Kinds, stops: Any, last: Any) -> ScanPath:

@@ -19,8 +19,8 @@ from jaxwhisker._equilibrium.pieces import break_between
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, ScenePose
-from jaxwhisker._path.events import condition_of, events_of, facts_of, limit_of, number_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, is_snap, select
+from jaxwhisker._plane.events import condition_of, events_of, facts_of, limit_of, number_of
 from jaxwhisker._scan.mechanics import EventSides
 from jaxwhisker._scan.state import State
 

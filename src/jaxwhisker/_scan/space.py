@@ -15,21 +15,19 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
-from jaxwhisker._path.march import sweeps_of
-from jaxwhisker._path.path import STOP, ScanPath, Status
+from jaxwhisker._path.march import follow, sweeps_of
+from jaxwhisker._path.path import STOP, Node, Path, ScanPath, Status
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
 from jaxwhisker._scan.slopes import memory_now
 from jaxwhisker._scan.space_result import SpaceEvents, SpaceResult
 from jaxwhisker._scan.space_signals import event_room, sides_of_events, signals, solved, with_turns
 from jaxwhisker._scan.steps import interpolate, is_near
-from jaxwhisker._space.approach import crop, limits_of
 from jaxwhisker._space.contact import ROLL
+from jaxwhisker._space.friction import continuation_of
 from jaxwhisker._space.history import Followed, LinkedNodes, contacts_within, interpolated, linked, stages_before
-from jaxwhisker._space.march import capacity_of, march
-from jaxwhisker._space.march_state import SpaceNode, SpacePath
 from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
 from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, problem_in_space
-from jaxwhisker._space.shape import touches_twice, until_second_contact
+from jaxwhisker._space.shape import touches_twice
 from jaxwhisker._space.slip import SlipMode, following
 
 BLOCK = 256  # steps computed by one call; each takes longer than in the plane
@@ -55,14 +53,7 @@ def follow_path(
     derivatives: they are attached to what is computed from it.
     """
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
-    stops, whole = stops / problem.unit.control, jnp.isnan(stops[0])
-    limits = limits_of(problem, stops[0])
-    stops = jnp.where(whole, jnp.full_like(stops, limits.far).at[0].set(limits.start), stops)
-    capacity = capacity_of(problem, min(sweeps or stops.size, stops.size))
-    path = march(problem, limits.start, stops, jnp.asarray(last), capacity=capacity)
-    path, start, stop = crop(problem, path, limits, whole)
-    path = until_second_contact(problem, path)
-    return ScanPath(path, start * problem.unit.control, stop * problem.unit.control)
+    return follow(continuation_of(problem), stops, last, sweeps)
 
 
 problem_now = Program(problem_in_space, tangent=by_slopes(problem_in_space))
@@ -89,13 +80,13 @@ class Space(Mechanics):
         return follow_path_now(problem, stops, last, *sweeps_of(last))
 
     @staticmethod
-    def detected(scene: SpaceScene, problem: SpaceProblem, path: SpacePath) -> SpacePath:
+    def detected(scene: SpaceScene, problem: SpaceProblem, path: Path) -> Path:
         return path  # `follow_path` has looked for second contacts
 
     @staticmethod
     def prepare(
         pool: Executor, scene: SpaceScene, problem: SpaceProblem, stops: int
-    ) -> tuple[SpacePath, LinkedNodes | None]:
+    ) -> tuple[Path, LinkedNodes | None]:
         ends = np.zeros(stops), np.asarray(0)
         path = follow_path_now.prepare(pool, problem, *ends).path
         return path, None if problem.friction is None else memory_now.prepare(pool, Space, problem, path, ends[0])
@@ -105,30 +96,30 @@ class Space(Mechanics):
         return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
 
     @staticmethod
-    def phases(path: SpacePath) -> Int[Array, "nodes whiskers"]:
-        return path.nodes.phase
+    def phases(path: Path) -> Int[Array, "nodes whiskers"]:
+        return path.nodes.state.phase
 
     @staticmethod
-    def memory(problem: SpaceProblem, path: SpacePath, stops: Any) -> LinkedNodes | None:
+    def memory(problem: SpaceProblem, path: Path, stops: Any) -> LinkedNodes | None:
         return None if problem.friction is None else memory_now(Space, problem, path, stops)
 
     @staticmethod
-    def remember(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> LinkedNodes:
+    def remember(problem: SpaceProblem, path: Path, stops: Float[Array, " stops"]) -> LinkedNodes:
         return linked(problem, path, stops)
 
     @staticmethod
-    def remembered(memory: LinkedNodes | None, path: SpacePath | None, solutions: Solutions) -> Within | None:
-        if memory is None or path is None or path.nodes.mode is None:
+    def remembered(memory: LinkedNodes | None, path: Path | None, solutions: Solutions) -> Within | None:
+        if memory is None or path is None or path.nodes.before.mode is None:
             return None
         node, end = solutions.node, jnp.minimum(solutions.node + 1, path.count - 1)
-        start, before = jax.tree.map(lambda leaf: leaf[node], (memory.point, path.nodes.phase_before))
-        stages, mode = jax.tree.map(lambda leaf: leaf[end], (memory.stages, path.nodes.mode))
+        start, before = jax.tree.map(lambda leaf: leaf[node], (memory.point, path.nodes.before.phase))
+        stages, mode = jax.tree.map(lambda leaf: leaf[end], (memory.stages, path.nodes.before.mode))
         return Within(start, stages, before, mode)
 
     @staticmethod
     def solve(problem, path, index, u, known) -> Solutions:
         index = jnp.maximum(index, 0)  # of a path without nodes
-        z, phase = path.nodes.point.z[index], path.nodes.phase[index]
+        z, phase = path.nodes.point.z[index], path.nodes.state.phase[index]
         free = Solutions(z, phase, known, index)
         solve = _solve if problem.friction is None else _solve_with_friction
         return jax.lax.cond(jnp.any(phase != Phase.free), lambda: solve(problem, path, index, u, known), lambda: free)
@@ -169,7 +160,7 @@ class Space(Mechanics):
         return signals(problem, *side)
 
     @staticmethod
-    def event_nodes(path: SpacePath) -> SpaceNode:
+    def event_nodes(path: Path) -> Node:
         return with_turns(path)
 
     @staticmethod
@@ -180,7 +171,7 @@ class Space(Mechanics):
     def event_controls(problem, path, memory, at, filled):
         control, *_ = sides_of_events(problem, path, memory, at, filled)
         nodes = path.nodes
-        return control, (nodes.phase_before[at] != Phase.free) & (nodes.phase[at] == Phase.free)
+        return control, (nodes.before.phase[at] != Phase.free) & (nodes.state.phase[at] == Phase.free)
 
     @staticmethod
     def at_nodes(memory: LinkedNodes | None, at: Any) -> Any:
@@ -188,10 +179,10 @@ class Space(Mechanics):
 
 
 def _solve(
-    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+    problem: SpaceProblem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
 ) -> Solutions:
     """Solve for the equilibria at controls after nodes `index`; `known` is the status of the path there."""
-    phase, z = path.nodes.phase[index], path.nodes.point.z[index]
+    phase, z = path.nodes.state.phase[index], path.nodes.point.z[index]
     guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
     guess = guess._replace(z=jnp.where((phase != Phase.free)[:, :, None], guess.z, z))
     equations = jax.vmap(plain)(phase, jax.vmap(at_control)(u, guess.z))
@@ -215,24 +206,26 @@ def _accepted(problem, path, index, solution, guess, phase, known) -> Solutions:
 
 
 def _solve_with_friction(
-    problem: SpaceProblem, path: SpacePath, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
+    problem: SpaceProblem, path: Path, index: Int[Array, " steps"], u: Float[Array, " steps"], known: Array
 ) -> Solutions:
     """The same with friction: the contacts are those within the steps of the path."""
-    nodes, modes, friction = path.nodes, path.nodes.mode, problem.friction
+    nodes, modes, friction = path.nodes, path.nodes.before.mode, problem.friction
     assert modes is not None and friction is not None
     # The last node ends a step.
     index = index - ((index == path.count - 1) & (nodes.kind[index] == STOP) & (index > 0))
 
     def at(index, u):
         end = jnp.minimum(index + 1, path.count - 1)
-        start, before, phase = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.phase_before, nodes.phase))
+        start, before, phase = jax.tree.map(
+            lambda leaf: leaf[index], (nodes.point, nodes.before.phase, nodes.state.phase)
+        )
         guess = interpolated(start, stages_before(nodes, end), before, phase, u)
         motion = following(guess, friction, modes[end])
         return Point(guess, u), Equations(phase[None], at_control(u, guess), None, motion)
 
     guess, equations = jax.vmap(at)(index, u)
     solution = solve_points(problem, equations, jax.tree.map(lambda leaf: leaf[:, None], guess))
-    return _accepted(problem, path, index, solution, guess, nodes.phase[index], known)
+    return _accepted(problem, path, index, solution, guess, nodes.state.phase[index], known)
 
 
 def check_thickness(scene: SpaceScene) -> None:

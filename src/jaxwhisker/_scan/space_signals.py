@@ -10,12 +10,11 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._path.path import STOP, EventKind, Node, Path
 from jaxwhisker._scan.mechanics import EventSides
 from jaxwhisker._scan.space_result import SpaceState
 from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, SpaceBase, angle_and_arc
 from jaxwhisker._space.history import LinkedNodes
-from jaxwhisker._space.march_state import SpaceNode, SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 from jaxwhisker._space.residuals import residuals
@@ -135,14 +134,14 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, 
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def with_turns(path: SpacePath) -> SpaceNode:
+def with_turns(path: Path) -> Node:
     """The nodes of a path; with friction, contacts that slip stick where the drive turns."""
     nodes = path.nodes
-    if nodes.mode is None:
+    if nodes.before.mode is None:
         return nodes
-    onwards = jnp.concatenate([nodes.mode[1:], nodes.mode[-1:]])
+    onwards = jnp.concatenate([nodes.before.mode[1:], nodes.before.mode[-1:]])
     onwards = jnp.where((jnp.arange(nodes.kind.size) < path.count - 1)[:, None], onwards, int(SlipMode.slips))
-    stick = (nodes.mode == SlipMode.slips) & (onwards == SlipMode.sticks) & (nodes.phase != Phase.free)
+    stick = (nodes.before.mode == SlipMode.slips) & (onwards == SlipMode.sticks) & (nodes.state.phase != Phase.free)
     stick &= (nodes.kind == STOP)[:, None]
     kind = jnp.where(jnp.any(stick, axis=1), int(EventKind.stick), nodes.kind)
     return nodes._replace(kind=kind, whiskers=nodes.whiskers | stick)
@@ -158,7 +157,7 @@ class Side(NamedTuple):
 
 
 def sides_of_events(
-    problem: SpaceProblem, path: SpacePath, links: LinkedNodes | None, at: Int[Array, " events"], filled: Array
+    problem: SpaceProblem, path: Path, links: LinkedNodes | None, at: Int[Array, " events"], filled: Array
 ) -> EventSides:
     """Equilibria before and after the events at these nodes; free whiskers where there is no event."""
     nodes = with_turns(path)
@@ -172,11 +171,11 @@ def sides_of_events(
     return EventSides(jnp.asarray(control), before, after)
 
 
-def _linked_event(nodes: SpaceNode, links: LinkedNodes, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
+def _linked_event(nodes: Node, links: LinkedNodes, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event with friction, and the equilibria before and after it."""
-    assert nodes.mode is not None
-    before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.phase_before, nodes.phase))
-    modes = (nodes.mode[j] == SlipMode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
+    assert nodes.before.mode is not None
+    before, after = (jnp.where(filled, phase[k], int(Phase.free)) for phase in (nodes.before.phase, nodes.state.phase))
+    modes = (nodes.before.mode[j] == SlipMode.slips for j in (k, jnp.minimum(k + 1, nodes.kind.size - 1)))
     u, contacts = jnp.asarray(links.point.u)[k], (links.stages.z[k, -1], links.point.z[k])
     of_before, of_after = (
         Side(z, u, phase, slips) for z, phase, slips in zip(contacts, (before, after), modes, strict=True)
@@ -184,11 +183,11 @@ def _linked_event(nodes: SpaceNode, links: LinkedNodes, k: Scalar, filled: Array
     return u, of_before, of_after
 
 
-def _event(problem: SpaceProblem, node: SpaceNode, filled: Array) -> tuple[Scalar, Side, Side]:
+def _event(problem: SpaceProblem, node: Node, filled: Array) -> tuple[Scalar, Side, Side]:
     """Control of an event, and the equilibria before and after it, with derivatives."""
     touch, concerned = node.kind == EventKind.touch, node.whiskers[:, None]
     released = node.kind == EventKind.release
-    phase = jnp.where(touch, node.phase, node.phase_before)
+    phase = jnp.where(touch, node.state.phase, node.before.phase)
     phase = jnp.where(filled, phase, int(Phase.free))
     column = jnp.where(touch | released, FORCE, SLACK)
     known_control = ~filled | (node.kind < 0)
@@ -209,7 +208,7 @@ def _event(problem: SpaceProblem, node: SpaceNode, filled: Array) -> tuple[Scala
     z = jnp.where(snaps | branches, z, jnp.reshape(unknowns[:-1], z.shape))
     u = jnp.where(branches, u, unknowns[-1])
     z, u = without_rule(z, problem, snaps | branches), without_rule(u, problem, branches)
-    before = jnp.where(filled, node.phase_before, int(Phase.free))
-    after = jnp.where(filled, node.phase, int(Phase.free))
+    before = jnp.where(filled, node.before.phase, int(Phase.free))
+    after = jnp.where(filled, node.state.phase, int(Phase.free))
     z_after = jnp.where(snaps, solved(problem, node.point.z, u, after), z)
     return u, Side(z, u, before), Side(z_after, u, after)

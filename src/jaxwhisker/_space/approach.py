@@ -4,13 +4,14 @@ A drive that moves along a line comes from afar. It starts where all whiskers ar
 and the object show that they stay free if it moves back any further. Other motions have a first and a last control.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker._space.march_state import SpacePath
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.continuation import Limits
+from jaxwhisker._path.path import Path
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance, leaves
 
@@ -20,23 +21,17 @@ HIGHEST_FORCE = 100.0  # EI/L^2 on every base, and the moment in EI/L; forces be
 DISTANCES = tuple(2.0**k for k in range(8))  # lengths
 
 
-class SpaceLimits(NamedTuple):
-    """Controls at which a scan right across the object begins and ends."""
-
-    start: Float[Array, ""]
-    far: Float[Array, ""]
-
-
-def limits_of(problem: SpaceProblem, first_stop: Float[Array, ""]) -> SpaceLimits:
+def limits_of(problem: SpaceProblem, first_stop: Scalar) -> Limits:
     """The limits of a scan to a first stop, or right across the object if that is NaN."""
     whole = jnp.isnan(first_stop)
     if problem.ends is not None:
         first, last = problem.ends
         late = problem.onwards * (first_stop - first) > 0
-        return SpaceLimits(jnp.where(whole | late, first, first_stop), last)
+        return Limits(jnp.where(whole | late, first, first_stop), last, last)
     middle = jnp.where(whole, _beside(problem), first_stop)
     ways, reach = problem.onwards * jnp.array([-1, 1]), jnp.stack([jnp.zeros(()), _reach(problem)])
-    return SpaceLimits(*jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, ways, reach))
+    start, far = jax.vmap(_clear_of, (None, None, 0, 0))(problem, middle, ways, reach)
+    return Limits(start, far, far)
 
 
 def _reach(problem: SpaceProblem) -> Float[Array, ""]:
@@ -71,11 +66,12 @@ def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array, least: Arr
 
 
 def crop(
-    problem: SpaceProblem, path: SpacePath, limits: SpaceLimits, whole: Array
-) -> tuple[SpacePath, Float[Array, ""], Float[Array, ""]]:
+    problem: SpaceProblem, path: Path, limits: Limits, whole: Array
+) -> tuple[Path, Float[Array, ""], Float[Array, ""]]:
     """The path, and the first and last control at which whiskers touch on it, with a margin."""
     nodes = path.nodes
-    known = (jnp.arange(nodes.kind.shape[0]) < path.count) & (jnp.any(nodes.phase != 0, axis=1) | (nodes.kind >= 0))
+    known = jnp.any(nodes.state.phase != Phase.free, axis=1) | (nodes.kind >= 0)
+    known &= jnp.arange(nodes.kind.shape[0]) < path.count
     way = problem.onwards * nodes.point.u
     some = jnp.any(known)
     first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, problem.onwards * limits.start)

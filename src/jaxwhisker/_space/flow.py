@@ -13,9 +13,10 @@ from jaxtyping import Array, Bool
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, along
+from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Status, first_case, select
 from jaxwhisker._space.contact import FORCE, POINT, TRACTION
-from jaxwhisker._space.march_state import SETTLED, SNAP, March, Outcome, SpaceFlow, SpaceTask, SpaceTrial, node_at
+from jaxwhisker._space.march_state import SETTLED, SNAP, MarchInSpace, SpaceFlow, TrialInSpace
 from jaxwhisker._space.newton import phase_by_slack
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.slip import FAINT, SlipMode, with_traction
@@ -37,13 +38,13 @@ SUNK = 5e-5  # lengths by which its unloaded whisker may still be inside the obj
 SLID = 1e-3  # lengths: whiskers whose contacts slide further take part in a snap
 
 
-def sliding(problem: SpaceProblem, march: March) -> March:
+def sliding(problem: SpaceProblem, march: MarchInSpace) -> MarchInSpace:
     """The state in which contacts begin to slide."""
     kick = KICK if problem.friction is None else _kick(march)
     return _flowing(problem, march, along(march.point, march.tangent, kick).z, march.point.u)
 
 
-def settling(problem: SpaceProblem, march: March) -> March:
+def settling(problem: SpaceProblem, march: MarchInSpace) -> MarchInSpace:
     """The state in which contacts that can neither stick nor slip settle, as the drive moves on a little."""
     onwards = march.tangent.u * march.direction
     # Nearly straight whiskers hardly yield: the path to where the drive would move by as much may be very long.
@@ -52,46 +53,47 @@ def settling(problem: SpaceProblem, march: March) -> March:
     return _flowing(problem, march, point.z, jnp.asarray(point.u))
 
 
-def _kick(march: March) -> Scalar:
+def _kick(march: MarchInSpace) -> Scalar:
     """How far contacts with friction are kicked along the path."""
     force = jnp.where(march.phase == Phase.free, jnp.inf, jnp.maximum(march.point.z[:, FORCE], FAINT))
     return jnp.minimum(KICK, SHARE * jnp.min(force))
 
 
-def _flowing(problem: SpaceProblem, march: March, z: Contacts, u: Scalar) -> March:
+def _flowing(problem: SpaceProblem, march: MarchInSpace, z: Contacts, u: Scalar) -> MarchInSpace:
     if problem.friction is not None:
         # In a flow, tractions are forces. Tangents may point out of the cone of friction.
         traction = z[:, TRACTION] / jnp.maximum(1.0, jnp.sqrt(jnp.sum(z[:, TRACTION] ** 2, axis=1, keepdims=True)))
         z = z.at[:, TRACTION].set(problem.friction * jnp.maximum(z[:, FORCE, None], 0.0) * traction)
     nobody = jnp.zeros_like(march.flow.clings)
     flow = SpaceFlow(jnp.asarray(FIRST_TIME), jnp.asarray(0), march.point.z, nobody, jnp.asarray(True))
-    return march._replace(
-        task=jnp.asarray(int(SpaceTask.flow)),
+    return march.replace(
+        task=jnp.asarray(int(Task.flow)),
         point=Point(z, u),
         flow=flow,
-        pending=node_at(march, march.point._replace(u=u), march.tangent),
+        pending=march.node(march.point._replace(u=u), march.tangent, inner=march.pending.inner),
     )
 
 
-def clinging(march: March, whiskers: Bool[Array, " whiskers"]) -> March:
+def clinging(march: MarchInSpace, whiskers: Bool[Array, " whiskers"]) -> MarchInSpace:
     """The state in which these whiskers, which have come free inside the object, slide on."""
-    return march._replace(
-        task=jnp.asarray(int(SpaceTask.flow)),
-        phase=phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase)),
+    phase = phase_by_slack(march.point.z, jnp.where(whiskers, int(Phase.tip), march.phase))
+    return march.replace(
+        task=jnp.asarray(int(Task.flow)),
+        state=march.state._replace(phase=phase),
         flow=march.flow._replace(clings=march.flow.clings | whiskers),
     )
 
 
-def _let_go(march: March, light: Bool[Array, " whiskers"]) -> March:
+def _let_go(march: MarchInSpace, light: Bool[Array, " whiskers"]) -> MarchInSpace:
     """The state in which contacts come free that are too light to be followed."""
-    phase = jnp.where(light, int(Phase.free), march.phase)
-    return march._replace(
-        task=jnp.asarray(int(SpaceTask.arrive)),
-        phase=phase,
+    state = march.state._replace(phase=jnp.where(light, int(Phase.free), march.phase))
+    return march.replace(
+        task=jnp.asarray(int(Task.arrive)),
+        state=state,
         point=march.point._replace(z=march.flow.start),
         sunk=light,
-        pending=march.pending._replace(phase=phase, kind=jnp.asarray(int(EventKind.release)), whiskers=light),
-        target=march.target._replace(margin=jnp.asarray(SNAP)),
+        pending=march.pending._replace(state=state, kind=jnp.asarray(int(EventKind.release)), whiskers=light),
+        target=march.target._replace(number=jnp.asarray(SNAP)),
     )
 
 
@@ -102,7 +104,7 @@ def at_surface(stance: SpaceStance, sunk: Bool[Array, " whiskers"]) -> SpaceStan
     return stance._replace(nearest=stance.nearest._replace(distance=jnp.where(inside, 0.0, distance)))
 
 
-def after_flow(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcome:
+def after_flow(problem: SpaceProblem, march: MarchInSpace, trial: TrialInSpace) -> Outcome:
     """Handle a time step in which contacts slide."""
     z, before, time = trial.point.z, march.point.z, march.flow.time
     moved = jnp.max(jnp.abs(z[:, POINT] - before[:, POINT]))
@@ -121,33 +123,34 @@ def after_flow(problem: SpaceProblem, march: March, trial: SpaceTrial) -> Outcom
     # Nearly straight whiskers may be unable to reach where the kick has put their contacts.
     at_first = march.flow.time == FIRST_TIME * 0.25**march.flow.steps
     nearer = with_traction(Point((before + march.flow.start) / 2, march.point.u), before[:, TRACTION])
-    again = march._replace(flow=flow, point=select(at_first, nearer, march.point))
+    again = march.replace(flow=flow, point=select(at_first, nearer, march.point))
     settles = rests & (phase != Phase.free)
     pulls = rests & jnp.any(pulled & ~released)
-    freed = (phase == Phase.free) & (march.pending.phase_before != Phase.free)
+    freed = (phase == Phase.free) & (march.pending.before.phase != Phase.free)
     moved = jnp.max(jnp.abs(z - flow.start)[:, POINT], axis=1) > SLID
     traction, kind = z[:, TRACTION], jnp.asarray(int(EventKind.snap_through))
-    resting, slip = jnp.zeros_like(traction), march.slip
+    resting, state, slip = jnp.zeros_like(traction), march.state._replace(phase=phase), march.slip
     if slip is not None:
         assert problem.friction is not None
         kind = jnp.where(jnp.any(moved & touching), kind, SETTLED)
         largest = problem.friction * jnp.maximum(z[:, FORCE], FAINT)
         resting = traction / jnp.maximum(largest, jnp.sqrt(jnp.sum(traction**2, axis=1)))[:, None]
-        slip = slip._replace(mode=jnp.full_like(slip.mode, int(SlipMode.sticks)), changes=jnp.asarray(0))
-    rested = march._replace(
-        task=jnp.where(rests, int(SpaceTask.arrive), int(SpaceTask.flow)),
-        phase=phase,
+        slip = slip._replace(changes=jnp.asarray(0))
+        state = state._replace(mode=jnp.where(rests, int(SlipMode.sticks), state.mode))
+    rested = march.replace(
+        task=jnp.where(rests, int(Task.arrive), int(Task.flow)),
+        state=state,
         # Whiskers that have come free may have to slide on.
         point=with_traction(Point(z, march.point.u), jnp.where(settles[:, None], resting, traction)),
         slip=select(rests, slip, march.slip),
         stance=trial.stance,
         flow=flow,
         pending=march.pending._replace(
-            phase=phase,
+            state=state,
             kind=jnp.where(jnp.any(freed), EventKind.snap_off, kind),
             whiskers=freed | (moved & touching),
         ),
-        target=march.target._replace(margin=jnp.asarray(SNAP)),
+        target=march.target._replace(number=jnp.asarray(SNAP)),
     )
     # A contact that splits in two slides on as two; as one, it may never come to rest.
     failed = march.stopped(jnp.where(opens, int(Status.unsettled), int(Status.not_convex)))

@@ -15,9 +15,9 @@ from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, at_arc_length
-from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._path.path import STOP, EventKind, Node, Path
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION, UNKNOWNS
-from jaxwhisker._space.march_state import SETTLED, SpaceNode, SpacePath
+from jaxwhisker._space.march_state import SETTLED
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
@@ -126,7 +126,7 @@ def interpolated(start: Point, stages: Point, before: Phases, phase: Phases, u: 
     return jnp.where((phase != Phase.free)[:, None], z, start.z)
 
 
-def stages_before(nodes: SpaceNode, end: Int[Array, ""]) -> Point:
+def stages_before(nodes: Node, end: Int[Array, ""]) -> Point:
     """The stages of the step that ends at a node."""
     assert nodes.inner is not None
     inner, z, u = jax.tree.map(lambda leaf: leaf[end], (nodes.inner, nodes.z_before, nodes.point.u))
@@ -140,7 +140,7 @@ class LinkedNodes(NamedTuple):
     stages: Point  # of the steps that end there, fields (nodes, stages, ...)
 
 
-def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]) -> LinkedNodes:
+def linked(problem: SpaceProblem, path: Path, stops: Float[Array, " stops"]) -> LinkedNodes:
     """The nodes of a path with friction, with their derivatives by everything, the stops of the drive included.
 
     The contacts that come to rest after a loss of stability have no derivatives.
@@ -170,18 +170,18 @@ def linked(problem: SpaceProblem, path: SpacePath, stops: Float[Array, " stops"]
 
 
 def _node_after(
-    problem: SpaceProblem, start: Point, before: SpaceNode, node: SpaceNode, stop: Scalar, follows: Array
+    problem: SpaceProblem, start: Point, before: Node, node: Node, stop: Scalar, follows: Array
 ) -> LinkedNodes:
     """A node, with derivatives, from those of the node before."""
-    assert node.mode is not None and node.inner is not None
+    assert node.before.mode is not None and node.inner is not None
     kind, concerned = node.kind, node.whiskers.astype(float)
     touches = kind == EventKind.touch
     snaps = (kind == EventKind.snap_through) | (kind == EventKind.snap_off) | (kind == SETTLED)
     begins = touches & node.whiskers
     z_end = jnp.where(begins[:, None], node.point.z.at[:, TRACTION].set(0.0), node.z_before)
     known = Point(jnp.concatenate([node.inner.z, z_end[None]]), jnp.append(node.inner.u, node.point.u))
-    phase = jnp.broadcast_to(node.phase_before, (known.z.shape[0], concerned.size))
-    phase = phase.at[-1].set(jnp.where(begins, node.phase, node.phase_before))
+    phase = jnp.broadcast_to(node.before.phase, (known.z.shape[0], concerned.size))
+    phase = phase.at[-1].set(jnp.where(begins, node.state.phase, node.before.phase))
     measure = measure_of(before.point, before.leaving)
     of_force = touches | (kind == EventKind.release)
     of_slack = (kind == EventKind.tip_to_tangential) | (kind == EventKind.tangential_to_tip)
@@ -197,13 +197,13 @@ def _node_after(
         jnp.zeros_like(concerned),
     )
     cone, power = (jnp.where(kind == of, concerned, 0.0) for of in (EventKind.slip, EventKind.stick))
-    step = PathStep(problem, start, phase, node.mode, measure, condition, cone, power, known, follows & ~snaps)
+    step = PathStep(problem, start, phase, node.before.mode, measure, condition, cone, power, known, follows & ~snaps)
     stages = stages_after(step)
     z, u = jax.tree.map(lambda leaf: leaf[-1], stages)
     z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, jnp.where(kind == SETTLED, node.point.u, start.u), u)
     traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
     after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(traction)
-    after = jnp.where((node.phase == Phase.free)[:, None], node.point.z, after)
-    rests = snaps & jnp.any(node.phase != Phase.free)
+    after = jnp.where((node.state.phase == Phase.free)[:, None], node.point.z, after)
+    rests = snaps & jnp.any(node.state.phase != Phase.free)
     end = Point(without_rule(after, (problem, start), rests), u)
     return LinkedNodes(end, stages._replace(z=stages.z.at[-1].set(jnp.where(begins[:, None], node.z_before, z))))

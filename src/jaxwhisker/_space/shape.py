@@ -9,12 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.path import Path, Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
 from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
-from jaxwhisker._space.march_state import SpacePath
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 
@@ -55,13 +54,13 @@ def touches_twice(problem: SpaceProblem, z: Contacts, phase: Phases) -> Bool[Arr
     return jnp.any((of_each(problem, deepest, z, phase) > DEPTH) & (phase != Phase.free))
 
 
-def until_second_contact(problem: SpaceProblem, path: SpacePath) -> SpacePath:
+def until_second_contact(problem: SpaceProblem, path: Path) -> Path:
     """The path to the last node before a whisker meets the object in a second place."""
     if not problem.may_touch_twice:
         return path
     nodes = path.nodes
     exists = jnp.arange(nodes.kind.size) < path.count
-    phase = jnp.where(exists[:, None], nodes.phase, int(Phase.free))
+    phase = jnp.where(exists[:, None], nodes.state.phase, int(Phase.free))
 
     def touch_twice(some):
         z, phase = some

@@ -41,10 +41,16 @@ class SlipMode(IntEnum):
     waits = 2  # its traction is given
 
 
-class SlipState(NamedTuple):
-    """What contacts do, as the march knows it; absent without friction."""
+class SpaceContactState(NamedTuple):
+    """How each whisker touches the object, or that it is free, and with friction what its contact does."""
 
-    mode: Int[Array, " whiskers"]
+    phase: Int[Array, "*batch whiskers"]
+    mode: Int[Array, "*batch whiskers"] | None = None  # SlipMode; None without friction
+
+
+class SlipState(NamedTuple):
+    """What the march knows of contacts that stick or slip, besides what they do."""
+
     changes: Int[Array, ""]  # of modes at a corner of the path, so far
     at_corner: Bool[Array, ""]  # whether the last node is one
     begins: Bool[Array, " whiskers"]  # whether a contact has just begun: the direction of its traction is a guess
@@ -304,7 +310,9 @@ def first_traction(velocity: Float[Array, "whiskers 2"]) -> Float[Array, "whiske
     return jnp.where(moves, -velocity / jnp.where(moves, speed, 1.0), np.array([1.0, 0.0]))
 
 
-def next_guess(slip: SlipState, traction: Float[Array, "whiskers 2"]) -> tuple[SlipState, Float[Array, "whiskers 2"]]:
+def next_guess(
+    slip: SlipState, mode: Int[Array, " whiskers"], traction: Float[Array, "whiskers 2"]
+) -> tuple[SlipState, Int[Array, " whiskers"], Float[Array, "whiskers 2"]]:
     """The next guess of what contacts that begin do, and their tractions.
 
     They slip against their first velocity, or on either side of that, or stick. A straight whisker whose tip would
@@ -314,36 +322,38 @@ def next_guess(slip: SlipState, traction: Float[Array, "whiskers 2"]) -> tuple[S
     cos, sin, (ahead, across) = jnp.cos(angle), jnp.sin(angle), traction.T
     turned = jnp.stack([cos * ahead - sin * across, sin * ahead + cos * across], axis=1)
     guess = (slip.guess + 1) % 4
-    mode = jnp.where(slip.begins, jnp.where(guess == 3, int(SlipMode.sticks), int(SlipMode.slips)), slip.mode)
-    return slip._replace(mode=mode, guess=guess), jnp.where(slip.begins[:, None], turned, traction)
+    mode = jnp.where(slip.begins, jnp.where(guess == 3, int(SlipMode.sticks), int(SlipMode.slips)), mode)
+    return slip._replace(guess=guess), mode, jnp.where(slip.begins[:, None], turned, traction)
 
 
-def slip_after(slip: SlipState, grips: Bool[Array, " whiskers"], turns: Bool[Array, ""], touches: Array) -> SlipState:
+def mode_after(
+    mode: Int[Array, " whiskers"], grips: Bool[Array, " whiskers"], turns: Bool[Array, ""], touches: Array
+) -> Int[Array, " whiskers"]:
     """What contacts do after an event: those whose margin vanishes change, and where the drive turns, all stick."""
-    other = jnp.where(slip.mode == SlipMode.slips, int(SlipMode.sticks), int(SlipMode.slips))
-    mode = jnp.where(grips, other, slip.mode)
+    other = jnp.where(mode == SlipMode.slips, int(SlipMode.sticks), int(SlipMode.slips))
+    mode = jnp.where(grips, other, mode)
     mode = jnp.where(turns, int(SlipMode.sticks), mode)
-    mode = jnp.where(touches, int(SlipMode.slips), mode)
-    none = jnp.zeros_like(slip.changes)
-    return slip._replace(mode=mode, changes=none, begins=touches, guess=none)
+    return jnp.where(touches, int(SlipMode.slips), mode)
 
 
 LEAST_SPEED = 1e-9  # per arc length of the path: contacts must not slip with their traction
 
 
-def slip_at_corner(
-    problem: SpaceProblem, slip: SlipState, phase: Array, point: Point, tangent: Point
-) -> tuple[SlipState, Float[Array, " whiskers"]]:
+def mode_at_corner(
+    problem: SpaceProblem, state: SpaceContactState, begins: Bool[Array, " whiskers"], point: Point, tangent: Point
+) -> tuple[Int[Array, " whiskers"], Float[Array, " whiskers"]]:
     """What contacts do after a corner of the path, along this tangent, and their margins there.
 
     The first contact that would slip with its traction sticks instead, and one at its largest traction slips if this
-    would grow.
+    would grow. Contacts that have just begun do what they are taken to do.
     """
-    traction, slips = point.z[:, TRACTION], slip.mode == SlipMode.slips
-    margin = grip_of(problem, slip.mode, phase, point, tangent)
+    phase, mode = state
+    assert mode is not None
+    traction, slips = point.z[:, TRACTION], mode == SlipMode.slips
+    margin = grip_of(problem, mode, phase, point, tangent)
     growth = jnp.sum(traction * tangent.z[:, TRACTION], axis=1)
     changes = jnp.where(slips, margin < -LEAST_SPEED, (margin < LEAST_SPEED) & (growth > LEAST_SPEED))
-    wrong = (phase != Phase.free) & ~slip.begins & changes
+    wrong = (phase != Phase.free) & ~begins & changes
     first = jnp.arange(wrong.size) == jnp.argmax(wrong)
     other = jnp.where(slips, int(SlipMode.sticks), int(SlipMode.slips))
-    return slip._replace(mode=jnp.where(wrong & first, other, slip.mode), changes=slip.changes + 1), margin
+    return jnp.where(wrong & first, other, mode), margin

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from jaxwhisker._base.primitive import threads
 from jaxwhisker._base.settings import as_here
 from jaxwhisker._model.scene import AbstractScene
-from jaxwhisker._path.approach import MARGIN
+from jaxwhisker._plane.approach import MARGIN
 from jaxwhisker._scan.channels import columns_of
 from jaxwhisker._scan.dataset import VARIABLES, first_failure
 from jaxwhisker._scan.result import AbstractResult, arrays_of

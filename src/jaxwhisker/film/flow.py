@@ -25,8 +25,8 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Poses
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._path import snap_flow
 from jaxwhisker._path.path import Node, select
+from jaxwhisker._plane import snap_flow
 from jaxwhisker._scan.detect import kinds_of
 from jaxwhisker._scan.plane import path_through, problem_now
 from jaxwhisker._scan.result import Result

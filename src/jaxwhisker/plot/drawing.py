@@ -23,7 +23,7 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.motion import Pose, Rotation
 from jaxwhisker._model.scene import Scene, Sensor, units
 from jaxwhisker._model.spring import AXES, Spring
-from jaxwhisker._path.approach import Bounded, FromAfar
+from jaxwhisker._plane.approach import Bounded, FromAfar
 from jaxwhisker._scan.plane import problem_now
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals

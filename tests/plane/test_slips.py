@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begun_march, dimensionless
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path import snap_flow
-from jaxwhisker._path.march import _start
-from jaxwhisker._path.slips import _first_leans, changed_slips, disagreement, goes_astray, partly, repeated
-from jaxwhisker._path.snap_flow import ITERATIONS
+from jaxwhisker._plane import snap_flow
+from jaxwhisker._plane.slips import _first_leans, changed_slips, disagreement, goes_astray, partly, repeated
+from jaxwhisker._plane.snap_flow import ITERATIONS
 
 ROUNDING = 1e-12
 RADIUS, FRICTION = 0.5, 0.3
@@ -150,14 +149,14 @@ def rough():
 @pytest.fixture(scope="module")
 def begun(rough):
     """A march of two whiskers that has just begun."""
-    return Program(_start)(rough, jnp.array([1.0, -1.0]))
+    return begun_march(rough, jnp.array([1.0, -1.0]))
 
 
 def march_of(begun, slip, force, leans, *, tries=0, rests=(False, False)):
     """The state at two tip contacts on the right."""
     friction = Friction(jnp.array(slip), jnp.zeros(2), jnp.zeros(2))
     z = jnp.stack([jnp.array(force), jnp.array(leans), jnp.array([-0.2, -0.3])], axis=1)
-    return begun._replace(
+    return begun.replace(
         state=ContactState(jnp.array([int(Phase.tip)] * 2), jnp.ones(2), friction),
         point=Point(z, jnp.asarray(0.0)),
         tries=jnp.asarray(tries),
@@ -203,7 +202,7 @@ def test_the_first_lean_combines_paths_with_both_slips(rough, begun):
         for f, r in ((force, rate), (other_force, other_rate))
     )
     march = march_of(begun, (-1, 1), (0.0, 0.0), (0.0, 0.0))
-    known, leans = _first_leans(rough, march._replace(pending=march.pending._replace(arriving=other)), tangent)
+    known, leans = _first_leans(rough, march.replace(pending=march.pending._replace(arriving=other)), tangent)
     # Of both forces, of which each leans by the limit, in the proportion in which the contact does not slip.
     share = -rate / other_rate
     for k, slip in enumerate((-1, 1)):

@@ -1,5 +1,7 @@
 """Trials: events and dips within a step on margins that are known everywhere; how a solution is judged."""
 
+# pyright: reportArgumentType=false
+
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begin, begun_march, dimensionless
 from exact_contacts import contacts, scene
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
@@ -16,15 +18,13 @@ from jaxwhisker._equilibrium.newton import newton_step, slope_sines
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stance import Stance
-from jaxwhisker._path.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX
-from jaxwhisker._path.march import _start
-from jaxwhisker._path.march_state import Trial
-from jaxwhisker._path.trial import _direction_of_parabola, dip, evaluate_trial, first_violated
+from jaxwhisker._plane.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX
+from jaxwhisker._plane.march_state import TrialInPlane
+from jaxwhisker._plane.trial import _direction_of_parabola, dip, evaluate_trial, first_violated
 
 ROUNDING = 1e-12
 FB = scene(jw.Support.fb(70.0))
 FBFB = scene(jw.Support.fbfb(70.0))
-started = Program(_start)
 
 STANCE = Stance(jnp.zeros(2), None, None)  # pyright: ignore[reportArgumentType]
 
@@ -33,9 +33,9 @@ STANCE = Stance(jnp.zeros(2), None, None)  # pyright: ignore[reportArgumentType]
 def two():
     """Problem and state of two whiskers: the first in tip contact, the second free."""
     problem = dimensionless(FBFB)
-    march = started(problem, jnp.array([1.0, -1.0]))
+    march = begun_march(problem, jnp.array([1.0, -1.0]))
     state = march.state._replace(phase=jnp.array([int(Phase.tip), int(Phase.free)]))
-    return problem, march._replace(state=state, step=jnp.asarray(0.1))
+    return problem, march.replace(state=state, step=jnp.asarray(0.1))
 
 
 def margins(touch=np.inf, release=1.0, phase=1.0, vertex=1.0, stop=1.0):
@@ -48,7 +48,7 @@ def trial(problem, here, there, tangent=None, tangent_pose=None):
     stance = problem.stance(0.0, jnp.array([[0.5], [0.7]]))
     yes, side = jnp.asarray(True), jnp.ones(2)
     solution = SimpleNamespace(point=Point(jnp.zeros((2, 3)), jnp.asarray(0.0)))
-    return Trial(solution, tangent, tangent_pose, yes, yes, here, there, stance, side, jnp.ones(1))  # pyright: ignore[reportArgumentType]
+    return TrialInPlane(None, solution, tangent, tangent_pose, yes, yes, here, there, stance, side, jnp.ones(1))  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_the_first_event_within_a_step(two, there, kind, whisker, share):
     found, target = first_violated(problem, march, trial(problem, margins(), margins(**there)), jnp.asarray(0.1))
     assert found and target.number == kind
     if kind != AT_STOP:  # which concerns no whisker
-        assert target.whisker.tolist() == whisker
+        assert target.whiskers.tolist() == whisker
     np.testing.assert_allclose(target.distance, share * 0.1, rtol=ROUNDING)
 
 
@@ -87,7 +87,7 @@ def test_a_margin_that_dips_below_zero_within_a_step(two, lowest, dips):
     def along(slope):
         return Point(jnp.zeros((2, 3)).at[0, 0].set(slope), jnp.asarray(-1.0))
 
-    march = march._replace(tangent=along(slope), tangent_pose=still)
+    march = march.replace(tangent=along(slope), tangent_pose=still)
     found, share = dip(problem, march, trial(problem, margins(), margins(), along(-slope), still), jnp.asarray(0.1))
     assert bool(found) == dips
     if dips:
@@ -99,7 +99,7 @@ def test_the_direction_at_the_end_of_a_parabola(two):
     # z = z0 + s d + s^2 b / 2 of the touching whisker, with d of unit length in the scale of z0 and b across it.
     z0, d, b = march.point.z, jnp.array([0.6, 0.0, 0.0]), jnp.array([0.0, 1.4, -0.3])
     distance, along = 0.3, march.tangent._replace(z=jnp.zeros((2, 3)).at[0].set(d), u=jnp.asarray(-0.8))
-    march = march._replace(tangent=along, tangent_pose=jnp.array([[-0.5], [-0.7]]))
+    march = march.replace(tangent=along, tangent_pose=jnp.array([[-0.5], [-0.7]]))
     end = Point(z0.at[0].add(distance * d + distance**2 / 2 * b), march.point.u - 0.8 * distance)
     pose = march.pose + distance * jnp.array([[-0.4], [-0.6]])
 
@@ -128,11 +128,12 @@ def test_a_trial_is_judged_by_its_solution():
     @Program
     def judged(problem, z, u, sign):
         newton = newton_step(problem, state, at_control(u, z), Point(z, u))
-        march = started.function(problem, jnp.array([1.0, -1.0]))
+        march = begin(problem, jnp.array([1.0, -1.0]))
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
-        march = march._replace(state=state, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
+        march = march.replace(state=state, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))
-        return evaluate_trial(problem, march, solution, u - 0.25, newton.pose), slope_sines(problem, state, z[:, 1])
+        trial = evaluate_trial(problem, march, None, solution, u - 0.25, newton.pose)
+        return trial, slope_sines(problem, state, z[:, 1])
 
     results = {sign: judged(problem, z, u, jnp.asarray(sign)) for sign in (1.0, -1.0)}
     for sign, (trial, sines) in results.items():

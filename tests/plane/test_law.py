@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begun_march, dimensionless
 from exact_contacts import scene
-from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.law import FORCE_ERROR, Coulomb, Law, contact_law
-from jaxwhisker._path.march import _start
-from jaxwhisker._path.march_state import Task, Trial
+from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import Status
+from jaxwhisker._plane.law import FORCE_ERROR, Coulomb, Law, contact_law
+from jaxwhisker._plane.march_state import Proposed, TrialInPlane
 
 SMOOTH = scene(jw.Support.fb(70.0))
 FRICTION = 0.3
@@ -29,7 +28,7 @@ TIP, FREE = int(Phase.tip), int(Phase.free)
 def begun(made):
     """The law of a scene, and a march that has just begun; its drive moves towards -x."""
     problem = dimensionless(made)
-    return contact_law(problem), Program(_start)(problem, jnp.array([1.0, -1.0]))
+    return contact_law(problem), begun_march(problem, jnp.array([1.0, -1.0]))
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +45,18 @@ def at_contacts(march, slip=(1, 0), force=(1.0, 1.0), leans=(0.1, 0.1)):
     """A march at tip contacts of two whiskers on the right, of which by default the first one slips."""
     friction = Friction(jnp.array(slip), jnp.zeros(2), jnp.zeros(2))
     z = jnp.stack([jnp.array(force), jnp.array(leans), jnp.array([-0.2, -0.3])], axis=1)
-    return march._replace(
+    return march.replace(
         state=ContactState(jnp.array([TIP, TIP]), jnp.ones(2), friction), point=Point(z, jnp.asarray(0.0))
     )
 
 
-def trial_of(z, u_rate=-1.0, turns=(1.0,), *, stable=True, converged=True):
-    """What laws see of a trial that ends at these contacts."""
+def trial_of(z, u_rate=-1.0, turns=(1.0,), *, guess=None, stable=True, converged=True):
+    """What laws see of a trial that ends at these contacts, and at which a flow was to end."""
+    flow, guess = SimpleNamespace(guess=z), Point(z, jnp.asarray(0.0)) if guess is None else guess
     tangent = Point(jnp.zeros_like(z), jnp.asarray(u_rate))
     solution = SimpleNamespace(point=Point(z, jnp.asarray(0.0)), converged=jnp.asarray(converged))
     parts = solution, tangent, None, jnp.asarray(stable), jnp.asarray(True), None, None, None, None, jnp.array(turns)
-    return Trial(*parts)  # pyright: ignore[reportArgumentType]
+    return TrialInPlane(Proposed(guess, None, flow), *parts)  # pyright: ignore[reportArgumentType]
 
 
 def test_friction_is_a_law_of_its_own(smooth, rough):
@@ -75,7 +75,7 @@ def test_contacts_without_friction_remember_nothing(smooth):
 def test_a_snap_begins_at_the_point_that_has_lost_its_stability(smooth):
     law, march = smooth
     tip = march.state._replace(phase=jnp.array([TIP]))
-    at = march._replace(state=tip, point=Point(jnp.array([[2.0, 0.3, -0.1]]), jnp.asarray(0.4)))
+    at = march.replace(state=tip, point=Point(jnp.array([[2.0, 0.3, -0.1]]), jnp.asarray(0.4)))
     snaps = law.to_snap(at)
     assert snaps.task == Task.kick and snaps.unstable_at == jnp.inf
     np.testing.assert_array_equal(snaps.pending.z_before, at.point.z)
@@ -86,7 +86,7 @@ def test_a_snap_begins_at_the_point_that_has_lost_its_stability(smooth):
 
 def test_a_snap_with_friction_remembers_the_next_stop(rough):
     law, march = rough
-    pending = law.to_snap(at_contacts(march)._replace(goal=jnp.asarray(3))).pending
+    pending = law.to_snap(at_contacts(march).replace(goal=jnp.asarray(3))).pending
     assert pending.stop == 3 and pending.corner
 
 
@@ -106,18 +106,18 @@ def test_slips_must_not_turn_back(rough):
 def test_forces_of_contacts_that_stick_are_near_their_predictions(rough, error, near):
     law, march = rough
     at = at_contacts(march)
-    off = trial_of(at.point.z.at[1, 0].add(error))
-    assert bool(law.accepts(at, off, at.point)) == near
+    off = trial_of(at.point.z.at[1, 0].add(error), guess=at.point)
+    assert bool(law.accepts(at, off)) == near
     # That of the contact that slips may be far from it.
-    assert law.accepts(at, trial_of(at.point.z.at[0, 0].add(error)), at.point)
+    assert law.accepts(at, trial_of(at.point.z.at[0, 0].add(error), guess=at.point))
 
 
 def test_a_stable_path_does_not_turn_back(rough):
     law, march = rough
     at = at_contacts(march)
-    assert not law.accepts(at, trial_of(at.point.z, u_rate=0.1), at.point)
-    assert law.accepts(at, trial_of(at.point.z, u_rate=0.1, stable=False), at.point)
-    assert law.accepts(at, trial_of(at.point.z, u_rate=-0.1), at.point)
+    assert not law.accepts(at, trial_of(at.point.z, u_rate=0.1))
+    assert law.accepts(at, trial_of(at.point.z, u_rate=0.1, stable=False))
+    assert law.accepts(at, trial_of(at.point.z, u_rate=-0.1))
 
 
 @pytest.mark.parametrize(
@@ -139,14 +139,14 @@ def test_what_comes_to_rest_decides_how_the_path_goes_on(rough, turns, rests, ta
 
 def test_a_snap_follows_the_motion_of_contacts(rough):
     law, march = rough
-    at = at_contacts(march)._replace(task=jnp.asarray(int(Task.flow)))
+    at = at_contacts(march).replace(task=jnp.asarray(int(Task.flow)))
     known = march.flow._replace(basis=jnp.ones_like(march.flow.basis), guess=at.point.z)
-    at = at._replace(flow=known)
+    at = at.replace(flow=known)
 
     def judged(change, **more):
         z = at.point.z + jnp.array(change)
         trial = trial_of(z, **more)
-        converged, cases = law.judged(at, known, known._replace(guess=z), trial)
+        converged, cases = law.judged(at, trial)
         return bool(converged), [(bool(holds), state) for holds, state in cases]
 
     # A contact that slips as it should moves on.
@@ -170,7 +170,7 @@ def test_without_friction_every_solved_step_counts(smooth):
     law, march = smooth
     z = jnp.array([[1.0, 0.2, -0.1]])
     for converged in (True, False):
-        solved, cases = law.judged(march, march.flow, march.flow, trial_of(z, converged=converged))
+        solved, cases = law.judged(march, trial_of(z, converged=converged))
         assert bool(solved) == converged and cases == []
     rest = law.after_rest(march, trial_of(z), march.pending, jnp.zeros(0, bool))
     assert rest.task == Task.kick and rest.status == Status.ok

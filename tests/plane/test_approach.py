@@ -11,8 +11,8 @@ from exact_contacts import DISTANCE, scene
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.approach import FAR, FIRST_STEP, GLANCES, HIGHEST_FORCE, MARGIN, Bounded, FromAfar, approach_of
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Path, Status
+from jaxwhisker._plane.approach import FAR, FIRST_STEP, GLANCES, HIGHEST_FORCE, MARGIN, Bounded, FromAfar, approach_of
 
 ROUNDING = 1e-14
 TOUCH = np.sqrt(1 - DISTANCE)  # of an upright whisker of length 1 before y = x^2 + DISTANCE

@@ -4,16 +4,15 @@ Beyond the first of them, the path has lost its stability (a fold) or would, wit
 end beyond it are shortened until it is located. Rates along the path are positive before it.
 """
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.events import RATE_NOISE
-from jaxwhisker._path.law import FOLD_SLOPE, Turns, contact_law
-from jaxwhisker._path.march_state import MarchState, Trial
+from jaxwhisker._path.continuation import Loss
+from jaxwhisker._plane.events import RATE_NOISE
+from jaxwhisker._plane.law import FOLD_SLOPE, Turns, contact_law
+from jaxwhisker._plane.march_state import MarchInPlane, TrialInPlane
 
 REST_SLOPE = 2e-9  # rates of contacts above which they count as at rest; larger than the noise of these rates
 AT_FOLD = 1e-5  # distance to a fold within which slips that come to rest do so at the fold
@@ -23,16 +22,7 @@ PARABOLA_ERROR = 0.25  # assumed error of the parabola's slopes, relative to tha
 SHORTEST_DIP = 1e-4  # step within which du/ds changes by about 1e-6 at most: folds closer together are overlooked
 
 
-class TurningPoint(NamedTuple):
-    """Whether a turning point lies within a step or at its end."""
-
-    holds: Bool[Array, ""]  # nothing turns back within the step
-    located: Bool[Array, ""]  # what turns back does so at the end
-    reached: Bool[Array, ""]  # what is known to turn back ahead rests at the end
-    rests: Bool[Array, " rates"]  # the contacts among this
-
-
-def turning_point(march: MarchState, trial: Trial) -> TurningPoint:
+def turning_point(march: MarchInPlane, trial: TrialInPlane) -> Loss:
     """Compare the end of a step with what is known of a loss of stability ahead."""
     (turn, rates), known = (trial.turns[0], trial.turns[1:]), jnp.isfinite(march.unstable_at)
     located, short = jnp.abs(turn) < FOLD_SLOPE, march.step < FOLD_BRACKET
@@ -44,7 +34,7 @@ def turning_point(march: MarchState, trial: Trial) -> TurningPoint:
     ahead = march.unstable_turns[0]
     rests &= (ahead >= 0) | (turn * (march.unstable_at - march.step) > AT_FOLD * (turn - ahead))
     reached = (known & (turn < FOLD_SLOPE)) | jnp.any(rests)
-    return TurningPoint(trial.stable & (back > 0), located | short, reached, rests)
+    return Loss(trial.stable & (back > 0), located | short, reached, rests)
 
 
 def step_to_loss(turns: Turns, unstable_at: Scalar, unstable_turns: Turns) -> Scalar:
@@ -55,14 +45,14 @@ def step_to_loss(turns: Turns, unstable_at: Scalar, unstable_turns: Turns) -> Sc
     return jnp.where(jnp.isfinite(unstable_at), unstable_at * jnp.clip(share, 1e-3, 0.999), jnp.inf)
 
 
-def before_loss(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> MarchState:
+def before_loss(problem: Problem, march: MarchInPlane, trial: TrialInPlane, distance: Scalar) -> MarchInPlane:
     """The state before a step at whose end, at this distance, stability is lost; with a shorter step to try."""
     start = contact_law(problem).turns(march, march.point.z, march.tangent)
     step = step_to_loss(start, distance, trial.turns)
-    return march._replace(unstable_at=distance, unstable_turns=trial.turns, step=step)
+    return march.replace(unstable_at=distance, unstable_turns=trial.turns, step=step)
 
 
-def may_fold_twice(march: MarchState, trial: Trial) -> tuple[Bool[Array, ""], Scalar]:
+def may_fold_twice(march: MarchInPlane, trial: TrialInPlane) -> tuple[Bool[Array, ""], Scalar]:
     """Whether u may turn back and forth within a step whose ends are stable, and at which share of the step.
 
     Within the step, du/ds is taken for a parabola with the values at the step's ends and the step's mean. Near a

@@ -5,8 +5,6 @@ is a place where another law has its say. `Coulomb` is friction: contacts rememb
 must not turn back either. A further law is a further class here, with its events.
 """
 
-from typing import Any, NamedTuple
-
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -15,11 +13,13 @@ from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.newton import is_light, with_slips
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, at_control, at_force
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path import snap_flow
-from jaxwhisker._path.events import RATE_NOISE
-from jaxwhisker._path.march_state import MarchState, Task, Trial
+from jaxwhisker._path.continuation import WaysOn
+from jaxwhisker._path.march_state import Cases, Task
 from jaxwhisker._path.path import Node, Status, select
-from jaxwhisker._path.slips import (
+from jaxwhisker._plane import snap_flow
+from jaxwhisker._plane.events import RATE_NOISE
+from jaxwhisker._plane.march_state import MarchInPlane, TrialInPlane
+from jaxwhisker._plane.slips import (
     changed_slips,
     disagreement,
     goes_astray,
@@ -32,16 +32,7 @@ from jaxwhisker._path.slips import (
 FOLD_SLOPE = 1e-9  # du/ds below which a fold counts as located: the error of the state is of this size, of u its square
 FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 
-Cases = list[tuple[Any, MarchState]]  # a condition, and the state if it is the first that holds
 Turns = Float[Array, " rates"]  # of the drive, and of what contacts must not undo
-
-
-class WaysOn(NamedTuple):
-    """How the path may go on from an event in other ways than along its direction, or in a snap."""
-
-    others: Cases
-    onwards: MarchState  # if none of these cases holds
-    first: Bool[Array, ""]  # whether the node is to be written now; otherwise only if the march ends here
 
 
 class Law:
@@ -59,7 +50,7 @@ class Law:
         del goal, corner
         return {}
 
-    def destination(self, march: MarchState, guess: Point) -> PathCondition:
+    def destination(self, march: MarchInPlane, guess: Point) -> PathCondition:
         """The condition under which the point of an event is solved for in its new state."""
         return at_control(march.point.u, guess.z)
 
@@ -77,25 +68,27 @@ class Law:
         del state, z, z_rate, least
         return jnp.zeros(0)
 
-    def turns(self, march: MarchState, z: Contacts, tangent: Point, least: float = -jnp.inf) -> Turns:
+    def turns(self, march: MarchInPlane, z: Contacts, tangent: Point, least: float = -jnp.inf) -> Turns:
         """Rates, along the path, of all that must not turn back: of the drive first."""
         return jnp.concatenate(
             [jnp.reshape(march.drive_rate(tangent), 1), self.rates(march.state, z, tangent.z, least)]
         )
 
-    def accepts(self, march: MarchState, trial: Trial, guess: Point) -> Bool[Array, ""] | bool:
+    def accepts(self, march: MarchInPlane, trial: TrialInPlane) -> Bool[Array, ""] | bool:
         """Whether a solved step has not ended on another path close by."""
-        del march, trial, guess
+        del march, trial
         return True
 
-    def after_rest(self, moved: MarchState, trial: Trial, node: Node, rests: Bool[Array, " rates"]) -> MarchState:
+    def after_rest(
+        self, moved: MarchInPlane, trial: TrialInPlane, node: Node, rests: Bool[Array, " rates"]
+    ) -> MarchInPlane:
         """The state where the drive or something else comes to rest: the path loses its stability at a fold."""
         del trial, node, rests
         return self.to_snap(moved)
 
-    def to_snap(self, march: MarchState) -> MarchState:
+    def to_snap(self, march: MarchInPlane) -> MarchInPlane:
         """The state that is about to leave an equilibrium that has lost its stability."""
-        return march._replace(
+        return march.replace(
             pending=march.pending._replace(
                 z_before=march.point.z,
                 arriving=march.tangent,
@@ -107,13 +100,13 @@ class Law:
             unstable_at=jnp.asarray(jnp.inf),
         )
 
-    def unforeseen(self, march: MarchState, node: Node, moved: Point) -> tuple[Node, Point]:
+    def unforeseen(self, march: MarchInPlane, node: Node, moved: Point) -> tuple[Node, Point]:
         """The node of an event, and how far its point has moved in its new state, without what was unknown before."""
         del march
         return node, moved
 
     def ways_on(
-        self, march: MarchState, onwards: MarchState, node: Node, trial: Trial, falls: Bool[Array, ""]
+        self, march: MarchInPlane, onwards: MarchInPlane, node: Node, trial: TrialInPlane, falls: Bool[Array, ""]
     ) -> WaysOn:
         """How the path may go on from an event.
 
@@ -127,18 +120,9 @@ class Law:
         del march, node, trial, falls
         return WaysOn([], onwards, jnp.asarray(True))
 
-    def judged(
-        self, march: MarchState, flow: snap_flow.Flow, proposed: snap_flow.Flow, trial: Trial
-    ) -> tuple[Bool[Array, ""], Cases]:
-        """Whether a step of a snap counts as solved, and what follows if contacts do not move in it as was assumed.
-
-        Args:
-            march: the state before the step.
-            flow: after the step, if it is accepted.
-            proposed: the step as proposed.
-            trial: its solved end.
-        """
-        del march, flow, proposed
+    def judged(self, march: MarchInPlane, trial: TrialInPlane) -> tuple[Bool[Array, ""], Cases]:
+        """Whether a step of a snap counts as solved, and what follows if contacts do not move in it as was assumed."""
+        del march
         return trial.solution.converged, []
 
 
@@ -166,12 +150,12 @@ class Coulomb(Law):
         rates = slip_rates(self.problem, state, z, z_rate)
         return rates if least == -jnp.inf else jnp.where(z[:, FORCE] > least, rates, jnp.inf)
 
-    def accepts(self, march, trial, guess):
+    def accepts(self, march, trial):
         # A stable path does not turn back. A nearly straight whisker that sticks has another equilibrium close by.
         goes_on = ~trial.stable | (march.drive_rate(trial.tangent) > -FOLD_SLOPE)
         # Without any force, a contact at rest satisfies the equations with every lean: where forces are small, Newton's
         # method may arrive there.
-        predicted, force = guess.z[:, FORCE], trial.solution.point.z[:, FORCE]
+        predicted, force = trial.guess.z[:, FORCE], trial.solution.point.z[:, FORCE]
         size = jnp.maximum(jnp.abs(predicted), march.point.z[:, FORCE])
         return goes_on & jnp.all(~march.state.sticks | (jnp.abs(force - predicted) < FORCE_ERROR * size))
 
@@ -200,26 +184,26 @@ class Coulomb(Law):
             (changed, retry),
             ((march.drive_rate(node.leaving) <= 0) & trial.stable, undetermined),
         ]
-        onwards = onwards._replace(tries=jnp.zeros_like(march.tries), rests=jnp.zeros_like(march.state.free))
+        onwards = onwards.replace(tries=jnp.zeros_like(march.tries), rests=jnp.zeros_like(march.state.free))
         return WaysOn(others, onwards, (march.tries == 0) | ~changed)
 
-    def judged(self, march, flow, proposed, trial):
+    def judged(self, march, trial):
         before, after, first = march.point.z, trial.solution.point.z, march.task == Task.kick
-        astray = goes_astray(march.state, before, proposed.guess, after)
+        astray = goes_astray(march.state, before, trial.proposed.flow.guess, after)
         # The first step goes along the path at a fixed drive, but frames that move with the drive move along the path.
         converged = trial.solution.converged & ~(astray & (~first | (not self.problem.frames_move)))
         # The first step must not leave the object: contacts may be lighter than it is long.
         converged &= ~first | ~jnp.any(march.state.touches & (after[:, FORCE] < 0))
         found = disagreement(self.problem, march.flow, march.state, before, after)
         stuck, other = with_slips(self.problem, before, march.state, found.slip, march.parameters)
-        again = march._replace(
+        again = march.replace(
             task=jnp.asarray(int(Task.flow)),
             state=other,
             point=march.point._replace(z=stuck),
             stuck_at=march.parameters,
             flow=repeated(march.flow, found.slip != march.state.slip),
         )
-        cut = march._replace(flow=partly(march.flow, found.share))
+        cut = march.replace(flow=partly(march.flow, found.share))
         exhausted = cut.flow.exhausted & converged & (found.wrong | (found.share < 1))
         return converged, [
             (exhausted, march.stopped(Status.unsettled)),

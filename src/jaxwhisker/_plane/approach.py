@@ -5,7 +5,6 @@ touch, nor once all whiskers are free beyond the object. A bounded motion has a 
 """
 
 import abc
-from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
@@ -14,21 +13,14 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import Stance
+from jaxwhisker._path.continuation import Limits
 from jaxwhisker._path.path import Path, Status, select
+from jaxwhisker._path.transitions import FIRST_STEP
 
-FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
 MARGIN = 0.01  # of the default control before the first touch and after the last whisker is free, dimensionless
 GLANCES = 64  # smallest number of steps in which free whiskers pass through a bounded motion
 FAR = 1e4  # lengths that an unbounded drive travels at most; a march ends long before, unless springs are very soft
 HIGHEST_FORCE = 1e3  # EI/L^2 on every whisker; forces before snap-off hardly ever reach it
-
-
-class Limits(NamedTuple):
-    """Controls at which a scan right across the object begins, ends if nothing happens, and stops searching."""
-
-    start: Scalar
-    end: Scalar
-    far: Scalar
 
 
 class AbstractApproach(abc.ABC):

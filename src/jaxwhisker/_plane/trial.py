@@ -1,50 +1,80 @@
-"""Trials: how the solved end of a step is evaluated, and which event within the step comes first."""
+"""Trials: how the end of a step is predicted, solved for and evaluated, and which event within the step comes first."""
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
-from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import PARAMETER, SLACK, Phase, beyond
-from jaxwhisker._equilibrium.newton import LIGHT, contact_parameters, slope_sines
+from jaxwhisker._equilibrium.newton import LIGHT, Apart, contact_parameters, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
-from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.point import Contacts, Point, along, at_arc_length, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._equilibrium.solver import Solution
+from jaxwhisker._equilibrium.solver import Solution, solve_point
 from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
-from jaxwhisker._path import snap_flow
-from jaxwhisker._path.events import (
+from jaxwhisker._path.march_state import Target, Task
+from jaxwhisker._path.margins import FAR, first_crossed, first_dip
+from jaxwhisker._path.path import Status, select
+from jaxwhisker._plane import snap_flow
+from jaxwhisker._plane.events import (
     AT_STOP,
-    FAR,
     MARGIN_NOISE,
     RELEASE,
     TOUCH,
-    Margins,
     PathDirection,
     Seen,
+    condition_of,
     events_of,
+    facts_of,
     limit_of,
     margin_rates,
     margins,
 )
-from jaxwhisker._path.law import contact_law
-from jaxwhisker._path.march_state import MarchState, Target, Task, Trial
-from jaxwhisker._path.path import Status, select
+from jaxwhisker._plane.law import contact_law
+from jaxwhisker._plane.march_state import FirstContact, MarchInPlane, Proposed, TrialInPlane
 
 SHORTEST_CHORD = 1e-6  # shortest chord that determines a direction; for a shorter one the path keeps its direction
 LEVEL = 1e-10  # slope of a face that is level but for rounding: the contact passes the vertex where it leaves this face
-DIP_POINTS = 7  # points within a step at which margins are interpolated
 
 
-def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop_u: Scalar, free_pose: Poses) -> Trial:
+def solved_trial(problem: Problem, march: MarchInPlane, stop_u: Scalar) -> TrialInPlane:
+    """Predict and solve for the end of a step on the way to a stop."""
+    target, state = march.target, march.state
+    at_target = march.task == Task.event
+    marching = (march.task == Task.advance) | at_target
+    flowing = (march.task == Task.kick) | (march.task == Task.flow)
+    distance = jnp.where(at_target, target.distance, march.step)
+    ahead = along(march.point, march.tangent, distance, march.bend)
+    flow = snap_flow.propose(problem, march.flow, state, march.point)
+    kicked = snap_flow.kick(march.flow, march.point, march.tangent, march.tangent_pose)
+    flow = select(march.task == Task.kick, kicked, flow)
+    guess = select(marching, ahead, march.point)
+    guess = select(flowing, Point(flow.guess, march.point.u), guess)
+    onwards = at_arc_length(march.point, march.tangent, march.step)
+    fixed = contact_law(problem).destination(march, guess)
+    tip = jnp.any(target.whiskers & (state.phase == Phase.tip))
+    facts = facts_of(events_of(problem), target.number, tip)
+    to_target = condition_of(facts, target.whiskers, guess.z, target.limit, stop_u)
+    condition = select(march.task == Task.advance, onwards, select(at_target, to_target, fixed))
+    # A touch begins a contact and is solved for as a contact.
+    begins = target.whiskers & at_target & (target.number == TOUCH)
+    state = state.begun(begins, target.first.phase, target.first.side, target.first.piece)
+    guess = guess._replace(z=jnp.where(begins[:, None], target.first.contact, guess.z))
+    solution = solve_point(problem, state, condition, guess, Apart(flowing, problem.across(flow.pose)))
+    free_pose = select(flowing, flow.pose, solution.newton.pose)
+    return evaluate_trial(problem, march, Proposed(guess, facts, flow), solution, stop_u, free_pose)
+
+
+def evaluate_trial(
+    problem: Problem, march: MarchInPlane, proposed: Proposed, solution: Solution, stop_u: Scalar, free_pose: Poses
+) -> TrialInPlane:
     """Evaluate the solved end of a step: direction of the path, stability, convexity, margins.
 
     Args:
         problem: the problem.
         march: the state before the step.
+        proposed: the step before it was solved for.
         solution: its solved end.
         stop_u: control of the next stop.
         free_pose: coordinates, at the end, of bases that are not solved for.
@@ -68,11 +98,12 @@ def evaluate_trial(problem: Problem, march: MarchState, solution: Solution, stop
     seen_there = seen(problem, march, after, there, stop_u, parameters)
     margins_there = margins(seen_there)
     # The touching whisker satisfies its contact's equations; its margin, interpolated in its outline, is less accurate.
-    touching = touched = touches & march.target.whisker
-    if march.target.object is not None:
-        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.object
+    touching = touched = touches & march.target.whiskers
+    if march.target.first.object is not None:
+        touched &= jnp.arange(len(problem.profile.objects))[:, None] == march.target.first.object
     margins_there = (jnp.where(touched, FAR, margins_there[TOUCH]), *margins_there[1:])
-    return Trial(
+    return TrialInPlane(
+        proposed,
         solution,
         tangent,
         tangent_pose,
@@ -101,7 +132,7 @@ def _soundness(
 
 
 def _direction_of_parabola(
-    march: MarchState, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
+    march: MarchInPlane, solution: Solution, free: Bool[Array, " whiskers"], at: Stance
 ) -> tuple[Point, Poses]:
     """Direction at the end of a step, up to which whiskers are free, along a parabola that starts along the tangent."""
     change = 0.0 if at.free is None else at.free - march.point.z
@@ -115,7 +146,9 @@ def _direction_of_parabola(
     return direction, twice * (solution.newton.pose - march.pose) + sign * march.tangent_pose
 
 
-def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: Scalar, parameters: PerWhisker) -> Seen:
+def seen(
+    problem: Problem, march: MarchInPlane, point: Point, at: Stance, stop_u: Scalar, parameters: PerWhisker
+) -> Seen:
     """A point on the way to the next stop, with contacts at these parameters, as margins see it."""
     ends = None
     if problem.profile.has_edges and march.state.piece is not None:
@@ -128,32 +161,19 @@ def seen(problem: Problem, march: MarchState, point: Point, at: Stance, stop_u: 
     return Seen(problem, march.state, march.state.free, point.z, at, ahead, remaining, ends)
 
 
-def _flat(margins: Margins) -> Float[Array, " margins"]:
-    return jnp.concatenate([jnp.ravel(margin) for margin in margins])
-
-
 def first_violated(
-    problem: Problem, march: MarchState, trial: Trial, distance: Scalar
+    problem: Problem, march: MarchInPlane, trial: TrialInPlane, distance: Scalar
 ) -> tuple[Bool[Array, ""], Target]:
     """Whether an event lies within a step of this length, and the first such event."""
     events, n = events_of(problem), march.state.side.size
-    now, then = _flat(trial.here), _flat(trial.there)
-    violated = then < -MARGIN_NOISE
-    # A whisker that was out of reach may touch anywhere within the step.
-    share = jnp.where(jnp.isfinite(now), jnp.clip(now / (now - then), 0.0, 1.0), 0.5)
-    share = jnp.where(violated, share, jnp.inf)
+    ignored = None
     if any(event.before_release for event in events):
         ended, none = trial.there[RELEASE] < -MARGIN_NOISE, [jnp.zeros(m.size, bool) for m in trial.there]
-        ended = [ended if event.before_release else no for event, no in zip(events, none, strict=True)]
-        share = jnp.where(jnp.concatenate(ended), jnp.inf, share)
-    first = jnp.argmin(share)
-    number = jnp.asarray(np.repeat(np.arange(len(events)), [margin.size for margin in trial.here]))[first]
-    # Margins of touches run over all objects, and over all whiskers for each.
-    each = [np.tile(np.eye(n, dtype=bool), (1 + m.size // n, 1))[: m.size] for m in trial.here]
-    whisker = jnp.asarray(np.concatenate([of & (k != AT_STOP) for k, of in enumerate(each)]))[first]
-    touched = None
+        ignored = [ended if event.before_release else no for event, no in zip(events, none, strict=True)]
+    crossed = first_crossed(trial.here, trial.there, MARGIN_NOISE, n, (AT_STOP,), ignored)
+    number, touched = crossed.number, None
     if march.state.sides is not None:
-        touched = jnp.full(n, jnp.minimum(first // n, len(march.state.sides) - 1))
+        touched = jnp.full(n, jnp.minimum(crossed.entry // n, len(march.state.sides) - 1))
     stance, side = trial.stance.of(touched), march.state.side_of(touched)
     piece = march.state.piece
     if piece is not None:
@@ -161,26 +181,18 @@ def first_violated(
         for k, event in enumerate(events):
             onto = event.piece(march.state, touch)
             piece = piece if onto is None else jnp.where(number == k, onto, piece)
-    return jnp.any(violated), Target(
+    return crossed.some, Target(
         number,
-        whisker,
-        jnp.min(share) * distance,
-        *snap_flow.touching(stance, side),
+        crossed.whiskers,
+        crossed.share * distance,
+        FirstContact(*snap_flow.touching(stance, side), piece, touched),
         limit_of(events, number, problem, trial.solution.point.z, trial.ends),
-        piece,
-        touched,
     )
 
 
-def dip(problem: Problem, march: MarchState, trial: Trial, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
-    """Whether a margin is negative within a step but not at its ends, and the share of the step where it is lowest."""
-    now, then = _flat(trial.here), _flat(trial.there)
+def dip(problem: Problem, march: MarchInPlane, trial: TrialInPlane, distance: Scalar) -> tuple[Bool[Array, ""], Scalar]:
+    """Whether a margin is negative within a step but not at its ends, and the share of the step up to where it is."""
     free = march.state.free
     start = PathDirection(problem, march.state, free, march.point.z, march.tangent.z, march.tangent_pose)
     end = PathDirection(problem, march.state, free, trial.solution.point.z, trial.tangent.z, trial.tangent_pose)
-    start, end = (distance * _flat(margin_rates(moving)) for moving in (start, end))
-    t = jnp.linspace(0.0, 1.0, DIP_POINTS + 2)[1:-1, None]
-    within = Cubic(now, then, start, end).value(t)
-    # The margin of an event just passed is zero at the start; rounding must not count as a dip.
-    within = jnp.where((start < 0) & (end > 0) & jnp.isfinite(within), within, 0.0)
-    return jnp.any(within < -MARGIN_NOISE), t[jnp.argmin(jnp.min(within, axis=1)), 0]
+    return first_dip(trial.here, trial.there, margin_rates(start), margin_rates(end), distance, MARGIN_NOISE)

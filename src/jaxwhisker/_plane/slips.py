@@ -19,10 +19,11 @@ from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, wit
 from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
-from jaxwhisker._path.events import LEAN_NOISE, RATE_NOISE, Lead
-from jaxwhisker._path.march_state import MarchState, Task
+from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, select
-from jaxwhisker._path.snap_flow import ITERATIONS, Flow, branch_known
+from jaxwhisker._plane.events import LEAN_NOISE, RATE_NOISE, Lead
+from jaxwhisker._plane.march_state import MarchInPlane
+from jaxwhisker._plane.snap_flow import ITERATIONS, Flow, branch_known
 
 SLIPPED = 1e-12  # distance that a contact may slip back before it sticks
 LEANING = 1e-12  # angle by which a contact that sticks may lean too far
@@ -38,7 +39,7 @@ def slip_rates(problem: Problem, state: ContactState, z: Contacts, z_rate: Conta
 
 
 def changed_slips(
-    problem: Problem, march: MarchState, point: Point, tangent: Point, falls: Bool[Array, ""]
+    problem: Problem, march: MarchInPlane, point: Point, tangent: Point, falls: Bool[Array, ""]
 ) -> tuple[Bool[Array, ""], Int[Array, " whiskers"]]:
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
     limit, onwards = problem.friction_angle, slip_rates(problem, march.state, point.z, tangent.z)
@@ -60,8 +61,8 @@ def changed_slips(
 
 
 def with_changed_slips(
-    problem: Problem, march: MarchState, node: Node, slip: Int[Array, " whiskers"], arriving: Point, *, rest: bool
-) -> MarchState:
+    problem: Problem, march: MarchInPlane, node: Node, slip: Int[Array, " whiskers"], arriving: Point, *, rest: bool
+) -> MarchInPlane:
     """The state at a node, before the direction in which the path leaves with these slips is determined.
 
     Args:
@@ -108,7 +109,7 @@ def with_changed_slips(
         # A lean does not change at first; all else goes on as before.
         same = jnp.where(changes[:, None], arriving.z.at[:, LEAN].set(0.0), arriving.z)
         weights = weights._replace(z=same, u=arriving.u)
-    return march._replace(
+    return march.replace(
         task=jnp.asarray(int(Task.arrive)),
         state=state,
         point=pending.point,
@@ -120,7 +121,7 @@ def with_changed_slips(
     )
 
 
-def _first_leans(problem: Problem, march: MarchState, tangent: Point) -> tuple[Bool[Array, " whiskers"], PerWhisker]:
+def _first_leans(problem: Problem, march: MarchInPlane, tangent: Point) -> tuple[Bool[Array, " whiskers"], PerWhisker]:
     """Leans of contacts that stick from their first touch, where neither slip is possible; and whether they are known.
 
     At vanishing force the equations are linear. The path with a contact that sticks is therefore that combination of

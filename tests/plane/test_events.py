@@ -7,7 +7,8 @@ import pytest
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.events import (
+from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._plane.events import (
     AT_STOP,
     PHASE,
     RELEASE,
@@ -19,7 +20,6 @@ from jaxwhisker._path.events import (
     facts_of,
     number_of,
 )
-from jaxwhisker._path.path import STOP, EventKind
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import jaxwhisker as jw
 from engine import dimensionless
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import FORCE
-from jaxwhisker._path.gains import without_gains
 from jaxwhisker._path.path import Status, is_snap
+from jaxwhisker._plane.gains import without_gains
 from jaxwhisker._scan.plane import follow_path_now
 from jaxwhisker._scan.route import across
 from scenes import model

@@ -1,19 +1,25 @@
-"""The march: order of events and nodes, several whiskers, reversals."""
+"""The march in space: margins, order of events and nodes, several whiskers, reversals, where a scan ends."""
 
-import equinox as eqx
+# pyright: reportArgumentType=false
+
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
 from engine import dimensionless
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.route import across
 from jaxwhisker._scan.space import follow_path_now, problem_now
-from jaxwhisker._space.contact import FORCE
-from jaxwhisker._space.march import capacity_of
-from jaxwhisker._space.march_state import SETTLED
-from random_space import drawn
+from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
+from jaxwhisker._space.continuation import PASSED, TOUCHING
+from jaxwhisker._space.free import Nearest
+from jaxwhisker._space.friction import continuation_of
+from jaxwhisker._space.march_state import AT_STOP, GRIP, LOSS, PHASE, RELEASE, TOUCH
+from jaxwhisker._space.stance import SpaceStance
 
 ALONG = jw.LinearDrive((-1.0, 0.0, 0.0))
 EXACT = 1e-8  # events are solved for to 1e-10
@@ -66,37 +72,60 @@ def test_a_scan_may_begin_in_contact():
     assert jnp.all(inside.contact_force > 1)
 
 
-def rough(seed):
-    """A random curved whisker with friction."""
-    rng = np.random.default_rng([11, seed])
-    smooth, friction = drawn("curved clamped linear", rng).scene, float(rng.uniform(0.05, 0.6))
-    return problem_now(eqx.tree_at(lambda scene: scene.friction, smooth, friction, is_leaf=lambda x: x is None))
-
-
-def test_with_friction_a_snap_begins_exactly_where_the_drive_would_turn():
-    """A curved whisker whose slip loses its stability; found by steps that approach the loss, it was not."""
-    stops, last = across()
-    path = follow_path_now(rough(7), stops, np.asarray(last)).path
-    assert int(path.status) == Status.ok
-    snaps = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == jw.EventKind.snap_through)
-    assert snaps.size > 0
-    assert np.all(np.abs(np.asarray(path.nodes.arriving.u)[snaps - 1]) < EXACT)
-
-
-def test_contacts_that_can_neither_stick_nor_slip_settle_at_a_node_of_their_own():
-    """Where the drive turns. States of the step before do not lie on the way to where the contact rests."""
-    stops = np.array([-0.5184741588406334, 0.27161288730834443, -0.5184741588406334])
-    path = follow_path_now(rough(21), stops, np.asarray(2)).path
-    assert int(path.status) == Status.ok
-    rests = np.flatnonzero(np.asarray(path.nodes.kind)[: int(path.count)] == SETTLED)
-    assert rests.size > 0
-    np.testing.assert_array_equal(path.nodes.z_before[rests], path.nodes.point.z[rests - 1])
-
-
 def test_paths_have_room_for_every_whisker_and_every_leg_of_the_drive():
     """Two coupled whiskers that go there and back need more than twice the nodes of one whisker."""
     springs = tuple(jw.Spring(ends, 70.0, 0.1) for ends in ((0, 1), (1, 2)))
     support = jw.Support((*springs, jw.Spring((0, 1), 40.0, axis="z"), jw.Spring((1, 2), 30.0, axis="z")))
     two = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), support))
     one = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2))))
-    assert capacity_of(two, 3) > 2 * capacity_of(one, 2)
+    assert continuation_of(two).capacity(3) > 2 * continuation_of(one).capacity(2)
+
+
+FREE, TIP, TANGENTIAL = (int(phase) for phase in (Phase.free, Phase.tip, Phase.tangential))
+
+
+def margins(phase, force=0.0, slack=0.0, distance=1.0, grip=None, onwards=0.5):
+    """Margins of one whisker, by kind; the drive is 0.25 before its stop, and moves on at this rate."""
+    z = jnp.zeros((1, UNKNOWNS)).at[0, FORCE].set(force).at[0, SLACK].set(slack)
+    nearest, good = Nearest(jnp.array([distance]), z, jnp.array([TIP])), jnp.asarray(True)
+    one, grip = jnp.asarray(1.0), None if grip is None else jnp.array([grip])
+    stance = SpaceStance(jnp.array([phase == FREE]), nearest, jnp.array([distance]), one, good, one, good, grip, good)
+    point, tangent = Point(z, jnp.asarray(-0.25)), Point(z, jnp.asarray(onwards))
+    march = SimpleNamespace(phase=jnp.array([phase]), direction=1.0, drive_rate=lambda tangent: tangent.u)
+    problem = SimpleNamespace(friction=None if grip is None else 0.3)
+    at = SimpleNamespace(point=point, tangent=tangent, stance=stance)
+    return [float(margin[0]) for margin in continuation_of(problem).margins(march, at, jnp.asarray(0.0))]
+
+
+def test_free_whiskers_may_only_touch():
+    found = margins(FREE, distance=0.3)
+    assert (
+        found[TOUCH] == 0.3 + TOUCHING
+        and np.isinf(found[RELEASE])
+        and np.isinf(found[PHASE])
+        and found[AT_STOP] == 0.25
+    )
+
+
+def test_contacts_end_without_force_and_change_their_phase_without_slack():
+    tip, shaft = margins(TIP, force=2.0, slack=-0.1), margins(TANGENTIAL, force=2.0, slack=0.3)
+    assert tip[RELEASE] == shaft[RELEASE] == 2.0
+    assert tip[PHASE] == 0.1 and shaft[PHASE] == 0.3
+    assert np.isinf(tip[TOUCH]) and np.isinf(shaft[TOUCH])
+
+
+def test_only_contacts_with_friction_may_stick_or_slip():
+    assert len(margins(TIP)) == 4
+    assert margins(TIP, grip=0.2)[GRIP] == 0.2
+
+
+def test_with_friction_stability_is_lost_where_the_drive_turns():
+    assert margins(TIP, grip=0.2, onwards=0.1)[LOSS] == 0.1
+    assert np.isinf(margins(FREE, grip=0.2, onwards=-0.1)[LOSS])
+
+
+def test_a_default_scan_ends_shortly_after_the_release():
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
+    result = jw.scan(scene)
+    (release,) = result.events.of(jw.EventKind.release)
+    assert 0 < float(result.control[-1]) - release.control < PASSED

@@ -19,8 +19,8 @@ from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._equilibrium.touch import TouchAlongX
-from jaxwhisker._path import snap_flow
-from jaxwhisker._path.snap_flow import FIRST_CHANGE, ITERATIONS, SHORTEST
+from jaxwhisker._plane import snap_flow
+from jaxwhisker._plane.snap_flow import FIRST_CHANGE, ITERATIONS, SHORTEST
 
 ROUNDING = 1e-14
 REST = 1e-8  # position of the bases where a flow is followed to its end

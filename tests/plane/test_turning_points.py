@@ -5,14 +5,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from engine import dimensionless
+from engine import begun_march, dimensionless
 from exact_contacts import scene
-from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.solver import Solution
-from jaxwhisker._path.march import _start
-from jaxwhisker._path.march_state import Trial
-from jaxwhisker._path.turning_points import SHORTEST_DIP, may_fold_twice, step_to_loss, turning_point
+from jaxwhisker._plane.march_state import TrialInPlane
+from jaxwhisker._plane.turning_points import SHORTEST_DIP, may_fold_twice, step_to_loss, turning_point
 
 ROUNDING = 1e-12
 SCENE = scene(jw.Support.fb(70.0))
@@ -21,7 +19,7 @@ SCENE = scene(jw.Support.fb(70.0))
 @pytest.fixture(scope="module")
 def state():
     """A state ahead of the object, whose drive moves towards -x."""
-    return Program(_start)(dimensionless(SCENE), jnp.array([1.0, -1.0]))
+    return begun_march(dimensionless(SCENE), jnp.array([1.0, -1.0]))
 
 
 def trial(end, tangent, stable=True, rates=()):
@@ -29,7 +27,7 @@ def trial(end, tangent, stable=True, rates=()):
     turns = jnp.array([-tangent.u, *rates])
     solution = Solution(end, None, jnp.asarray(True), jnp.asarray(1))  # pyright: ignore[reportArgumentType]
     parts = solution, tangent, None, jnp.asarray(stable), jnp.asarray(True), None, None, None, jnp.ones(1), turns
-    return Trial(*parts)  # pyright: ignore[reportArgumentType]
+    return TrialInPlane(None, *parts)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("unstable_at", [1.0, 1e-3])
@@ -76,15 +74,15 @@ def test_each_rate_has_a_secant_of_its_own():
 )
 def test_a_slip_comes_to_rest_before_the_drive_or_with_it(state, slip, slip_ahead, drive_ahead, rests):
     ahead = jnp.array([drive_ahead, slip_ahead])
-    at = state._replace(step=jnp.asarray(1e-3), unstable_at=jnp.asarray(0.1), unstable_turns=ahead)
+    at = state.replace(step=jnp.asarray(1e-3), unstable_at=jnp.asarray(0.1), unstable_turns=ahead)
     found = turning_point(at, trial(state.point, state.tangent._replace(u=jnp.asarray(-1e-3)), rates=[slip]))
-    assert found.holds
+    assert found.holds and found.rests is not None
     assert bool(found.rests[0]) == bool(found.reached) == rests
 
 
 def folds(state, start, end, mean, step=0.01, stable=True):
     """Whether a step may fold twice, whose du/ds is a parabola with these values at its ends and this mean."""
-    at = state._replace(step=jnp.asarray(step), tangent=state.tangent._replace(u=jnp.asarray(-start)))
+    at = state.replace(step=jnp.asarray(step), tangent=state.tangent._replace(u=jnp.asarray(-start)))
     arrived = Point(state.point.z, state.point.u - mean * step)
     twice, share = may_fold_twice(at, trial(arrived, state.tangent._replace(u=jnp.asarray(-end)), stable=stable))
     return bool(twice), float(share)

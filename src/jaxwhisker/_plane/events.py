@@ -22,11 +22,11 @@ from jaxwhisker._equilibrium.point import Contacts, PathCondition
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
 from jaxwhisker._equilibrium.touch import TouchAlongX
+from jaxwhisker._path.margins import FAR, Margins
 from jaxwhisker._path.path import STOP, EventKind
 
 RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
-FAR = jnp.inf  # margin of an event that cannot happen
 LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
 CONE_NOISE = 1e-12  # ... and of the force across the normal of others, in EI/L^2
 
@@ -318,9 +318,6 @@ def events_of(problem: Problem) -> Events:
     if problem.profile.has_edges:
         law += (EdgeBelow(), EdgeAbove())
     return law
-
-
-Margins = tuple[Float[Array, "..."], ...]  # in the order of the events
 
 
 def margins(seen: Seen) -> Margins:

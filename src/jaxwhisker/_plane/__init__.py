@@ -1,0 +1,1 @@
+"""Continuation in the plane: events, contact laws, snaps."""
