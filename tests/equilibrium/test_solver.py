@@ -50,8 +50,8 @@ def test_contacts_that_stick_must_be_more_accurate():
     state = ContactState(jnp.full(4, 2), jnp.ones(4), friction)
     # Next to a small force, the other unknowns; next to a large one, the lean.
     others, leans = [1.0, 1.0, 2.0, SMALL / SMALLEST], [FINER, FINER / 2, 1.0, 1.0]
-    weighted = Program(_of_sticking)(changes, z, state)
+    weighted = Program(_of_sticking)(changes, z, (None, state))
     assert LEAN == 1
     np.testing.assert_allclose(weighted, np.stack([others, leans, others], axis=1))
     slips = state._replace(friction=friction._replace(slip=jnp.ones(4, int)))
-    np.testing.assert_array_equal(Program(_of_sticking)(changes, z, slips), changes)
+    np.testing.assert_array_equal(Program(_of_sticking)(changes, z, (None, slips)), changes)

@@ -26,36 +26,43 @@ class _NewtonState(NamedTuple):
 class StructuredNewton(optx.AbstractRootFinder):
     """Newton's method for a function that returns its own Newton step as auxiliary output.
 
-    A general Newton solver would push 3 * whiskers tangents through all rods and solve a dense system of that size.
-    Here each whisker is linearised with respect to its own three unknowns. The tolerance applies to the last step,
-    which the returned point includes: a tolerance of 1e-6 gives an error near 1e-12.
+    A general Newton solver would push tangents of all unknowns through all rods and solve a dense system of that size.
+    Here each whisker is linearised with respect to its own contact. The tolerance applies to the last step, which the
+    solution includes: a tolerance of 1e-6 gives an error near 1e-12.
 
-    Several points along a leading axis are solved for in one loop, in which solved and failed points
-    stay where they are.
+    Several points along a leading axis are solved for in one loop, in which solved and failed points stay where they
+    are. Points of a step with several stages have an axis of stages (`stages`) behind that.
     """
 
     rtol: float
     atol: float
+    stages: bool = False
+    weigh: Callable[[Contacts, Contacts, Any], Contacts] | None = None  # changes of contacts, by contacts and args
     norm: Any = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         del fn, args, options, f_struct, aux_struct, tags
-        return _NewtonState(jnp.full_like(y.u, jnp.inf))
+        return _NewtonState(jnp.full_like(y.u[..., 0] if self.stages else y.u, jnp.inf))
 
     def step(self, fn, y, args, options, state, tags):
         del options, tags
         _, newton = fn(y, args)
         step = newton.step
-        _, contact_state, _, _ = args
-        changes = jnp.abs(step.z) / scale_of(y.z)
-        if contact_state.friction is not None:
-            changes = _of_sticking(changes, y.z, contact_state)
-        size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), jnp.abs(step.u))
+        changes, change_u = jnp.abs(step.z) / scale_of(y.z), jnp.abs(step.u)
+        if self.weigh is not None:
+            changes = self.weigh(changes, y.z, args)
+        if self.stages:
+            changes, change_u = jnp.max(changes, axis=-3), jnp.max(change_u, axis=-1)
+        size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), change_u)
         if size.ndim > 0:
             solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)
             # The loop would end for all points as soon as one is not finite.
             stays = solved | failed
-            step = Point(jnp.where(stays[:, None, None], 0.0, step.z), jnp.where(stays, 0.0, step.u))
+            axes = range(1, jnp.ndim(step.u))
+            step = Point(
+                jnp.where(jnp.expand_dims(stays, (*axes, -2, -1)), 0.0, step.z),
+                jnp.where(jnp.expand_dims(stays, tuple(axes)), 0.0, step.u),
+            )
             size = jnp.where(solved, state.step_size, jnp.where(failed, jnp.nan, size))
         return jax.tree.map(jnp.add, y, step), _NewtonState(size), newton
 
@@ -68,11 +75,14 @@ class StructuredNewton(optx.AbstractRootFinder):
         return y, aux, {}
 
 
-def _of_sticking(changes: Contacts, z: Contacts, state: ContactState) -> Contacts:
+def _of_sticking(changes: Contacts, z: Contacts, args: tuple) -> Contacts:
     """The changes of contacts in a Newton step, with those of contacts that stick weighted.
 
     Next to a small force, small changes of the other unknowns matter.
     """
+    _, state, *_ = args
+    if state.friction is None:
+        return changes
     sticks = state.sticks[..., None]
     force = jnp.clip(z[..., FORCE], SMALLEST, 1.0)
     others = jnp.broadcast_to(jnp.maximum(SMALL / force, 1.0)[..., None], changes.shape)
@@ -116,7 +126,7 @@ def _solve(
 ) -> Solution:
     # Derivatives are attached to the solution (implicit.py); they do not depend on the solver's iterations.
     problem, condition, guess, apart = jax.lax.stop_gradient((problem, condition, guess, apart))
-    solver = StructuredNewton(rtol=0.0, atol=problem.rod.newton_tolerance)
+    solver = StructuredNewton(0.0, problem.rod.newton_tolerance, weigh=_of_sticking)
     if jnp.ndim(guess.u) > 0:
         finite = jnp.all(jnp.isfinite(guess.z), axis=(-2, -1)) & jnp.isfinite(guess.u)
         guess = Point(jnp.where(finite[:, None, None], guess.z, 0.0), jnp.where(finite, guess.u, 0.0))

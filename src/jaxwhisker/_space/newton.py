@@ -5,7 +5,7 @@ springs couples the bases of all whiskers. Where contacts move by a law of their
 more unknowns, and all stages of a step along the path are solved for at once.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import block_diagonal, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import PathCondition, Point, scale_of
+from jaxwhisker._equilibrium.point import PathCondition, Point
+from jaxwhisker._equilibrium.solver import StructuredNewton
 from jaxwhisker._space.contact import SLACK, UNKNOWNS
 from jaxwhisker._space.linear import Linear, linearise
 from jaxwhisker._space.problem import SpaceProblem, of_each
@@ -167,46 +168,6 @@ def _by_stage(columns: Float[Array, "stages rows"]) -> Float[Array, "all stages"
     return jnp.reshape(columns[:, :, None] * np.eye(stages)[:, None], (-1, stages))
 
 
-class _SpaceNewtonState(NamedTuple):
-    step_size: Float[Array, "*batch"]
-
-
-class SpaceNewton(optx.AbstractRootFinder):
-    """Newton's method for a function that returns its own Newton step as auxiliary output.
-
-    The tolerance applies to the last step, which the returned point includes.
-    """
-
-    rtol: float
-    atol: float
-    norm: Any = optx.max_norm
-
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
-        del fn, args, options, f_struct, aux_struct, tags
-        return _SpaceNewtonState(jnp.full_like(y.u[..., 0], jnp.inf))
-
-    def step(self, fn, y, args, options, state, tags):
-        del options, tags
-        _, newton = fn(y, args)
-        step = newton.step
-        of_z, of_u = jnp.abs(step.z) / scale_of(y.z), jnp.abs(step.u)
-        size = jnp.maximum(jnp.max(of_z, axis=(-3, -2, -1)), jnp.max(of_u, axis=-1))
-        # Solved and failed points of a batch stay where they are.
-        solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)
-        stays = solved | failed
-        step = Point(jnp.where(stays[..., None, None, None], 0.0, step.z), jnp.where(stays[..., None], 0.0, step.u))
-        size = jnp.where(solved, state.step_size, jnp.where(failed, jnp.nan, size))
-        return jax.tree.map(jnp.add, y, step), _SpaceNewtonState(size), newton
-
-    def terminate(self, fn, y, args, options, state, tags):
-        del fn, y, args, options, tags
-        return jnp.all((state.step_size < self.atol) | jnp.isnan(state.step_size)), optx.RESULTS.successful
-
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
-        del fn, args, options, state, tags, result
-        return y, aux, {}
-
-
 class SpaceSolution(NamedTuple):
     """Solved stages; `newton` is a linearisation at most one step before them."""
 
@@ -235,7 +196,7 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
     tolerance = problem.rod.newton_tolerance
     solution = optx.root_find(
         residuals,
-        SpaceNewton(0.0, tolerance),
+        StructuredNewton(0.0, tolerance, stages=True),
         guesses,
         args=jax.lax.stop_gradient((problem, equations)),
         has_aux=True,
