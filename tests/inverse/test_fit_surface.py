@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 import jaxwhisker as jw
 from jaxwhisker._inverse.fit_surface import FAMILIES, _rotation_vector, _surface, _whitening, fit_surface
-from jaxwhisker._inverse.points_in_space import SpaceReconstruction
+from jaxwhisker._inverse.points import SpaceReconstruction
 
 EXACT = 1e-6  # of the length, from scans without noise
 ROUNDING = 1e-12

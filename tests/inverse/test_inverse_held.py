@@ -224,22 +224,3 @@ def test_missing_signals_leave_their_neighbours_alone():
     assert points.status[30, 0] == PointStatus.missing and np.isnan(points.x[30, 0])
     others = np.delete(np.arange(61), 30)
     np.testing.assert_allclose(points.x[others], jw.reconstruct(result, result.scene).x[others], atol=POINT)
-
-
-ABOVE = jw.Spring((0, 1), 70.0, 0.2, axis="axial", at=0.1)
-
-
-@pytest.mark.unchecked
-@pytest.mark.parametrize(
-    ("springs", "words"),
-    [
-        ((ABOVE,), "`base` must be given, because no signal shows"),
-        ((ABOVE, jw.Spring((1, 2), 70.0, 0.2)), "`sensor` must be one whose springs do not connect whiskers"),
-    ],
-)
-def test_wrong_arguments(springs, words):
-    support = jw.Support(springs)
-    zeros = np.zeros((3, support.whiskers))
-    measured = {"control": np.zeros(3), "fx": zeros, "fy": zeros, "mz": zeros}
-    with pytest.raises(ValueError, match=words):
-        jw.reconstruct(measured, jw.Sensor(jw.Whisker(), support))

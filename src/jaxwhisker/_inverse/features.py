@@ -101,6 +101,12 @@ def noise_of(observations: Observations) -> Float[np.ndarray, " kinds"] | None:
     return least_scatter(observations) if neighbour_scatter(observations).noisy.any() else None
 
 
+def with_scatter(observations: Observations, scattered: Observations | None = None) -> Observations:
+    """Observations with the noise that their scatter shows, or that of others; unchanged if it shows none."""
+    noise = noise_of(observations if scattered is None else scattered)
+    return observations if noise is None else observations.with_sigma(noise)
+
+
 def _differences(signals: list[tuple[np.ndarray, np.ndarray]], zero: float) -> np.ndarray:
     """Third differences of signals over their controls, without exact zeros, as those of free whiskers."""
     rough = np.concatenate([_third_differences(*pair) for pair in signals]) if signals else np.zeros(0)

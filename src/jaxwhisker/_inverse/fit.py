@@ -15,6 +15,7 @@ from jaxwhisker._inverse.features import Features, Scatter
 from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
 from jaxwhisker._inverse.observations import OWN_REACTIONS, Observations
 from jaxwhisker._inverse.parameters import Transforms
+from jaxwhisker._inverse.points import perpendicular
 from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
 from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
 from jaxwhisker._inverse.unknowns import Unknowns, split
@@ -173,8 +174,6 @@ class FitProblem(NamedTuple):
         """
         if self.unknowns.channels.names not in (REACTIONS_IN_SPACE, OWN_REACTIONS):
             return None
-        from jaxwhisker._inverse.points_in_space import perpendicular
-
         parts, values = split(self.unknowns, own), observations.values.copy()
         for (whisker, channel), offset in zip(self.unknowns.offsets, parts.offsets, strict=True):
             values[:, whisker, channel] -= offset

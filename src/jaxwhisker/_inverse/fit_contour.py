@@ -22,8 +22,9 @@ from jaxwhisker._inverse.fit_profile import points_and_rates
 from jaxwhisker._inverse.identify import identify
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
-from jaxwhisker._inverse.points import Reconstruction
-from jaxwhisker._inverse.reconstruct import reconstruct, sensor_of
+from jaxwhisker._inverse.plane import sensor_of
+from jaxwhisker._inverse.points import Reconstruction, SpaceReconstruction
+from jaxwhisker._inverse.reconstruct import reconstruct
 from jaxwhisker._inverse.recording import check_recording
 from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour, check_slopes
@@ -33,7 +34,6 @@ from jaxwhisker._scan.quantities import REACTIONS
 
 if TYPE_CHECKING:
     from jaxwhisker._inverse.fit_surface import SurfaceFit
-    from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.surface import AbstractSurface  # a fit in the plane does without it
 
 GRID = 0.05  # rad, to which outermost knots are rounded: similar contours share compiled code

@@ -15,8 +15,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.rotation import rotation_matrix
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._inverse.fit_profile import LEAST, OUTLIER, PADDED, SIGNIFICANCE
-from jaxwhisker._inverse.points import PointStatus
-from jaxwhisker._inverse.points_in_space import SpaceReconstruction
+from jaxwhisker._inverse.points import PointStatus, SpaceReconstruction
 from jaxwhisker._inverse.statistics import FitStatus, chi_squared, is_plausible, judged
 from jaxwhisker._model.quadrics import Ellipsoid, Sphere
 from jaxwhisker._model.surface import AbstractSurface, Point

@@ -18,16 +18,9 @@ from jaxtyping import Array, Float
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.shaft_springs import past
-from jaxwhisker._inverse.inverse_rod import GUESSES, START, zero_of
-from jaxwhisker._inverse.nearest import (
-    Contacts,
-    PhaseCandidate,
-    StepSignals,
-    WhiskerState,
-    nearest_state,
-    rotated,
-    value_and_jacobian,
-)
+from jaxwhisker._inverse.inverse_rod import BENT, GUESSES, START, zero_of
+from jaxwhisker._inverse.mechanics import Contacts, Judgement, StepSignals
+from jaxwhisker._inverse.nearest import PhaseCandidate, WhiskerState, locate, rotated, value_and_jacobian
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Sensor
@@ -54,13 +47,13 @@ class HeldObservation(NamedTuple):
     conditions = 2
     steps = 8
     handicaps = np.zeros(3)
-    failed = np.array([0.8795, -0.4758, -0.9755, 0.1, 0.0, 0.0])
+    failed = np.append(-BENT, [0.1, 0.0, 0.0])
 
     def state(self, y: Float[Array, "4"], phase: PhaseCandidate) -> WhiskerState:
         """The state with these loads on the base and this angle or arc beyond the contact.
 
-        Its values are those of Contacts. The conditions are the moment at the contact, and the angle of the whisker
-        minus that of its phase.
+        Its values are x, y, slope and arc of the contact, the pose of the base and the contact force. The conditions
+        are the moment at the contact, and the angle of the whisker minus that of its phase.
         """
         loads, beyond = y[:3], y[3]
         pose, reaction = self._base(loads)
@@ -165,22 +158,34 @@ class HeldInstrument(NamedTuple):
     """A dimensionless sensor of one whisker."""
 
     equations: LoadedRod
-    unloaded: Float[Array, "1 3"]  # reaction of the free whisker in the drive's frame; without derivatives
+    free: Float[Array, "1 3"]  # reaction of the free whisker in the drive's frame; without derivatives
 
-    coupled = np.zeros((1, 1), bool)
+    flexibility = None
 
-    def contacts(self, drive: Float[Array, "3"], signals: StepSignals) -> Contacts:
+    def peaks(self, largest: Float[Array, "1 3"]) -> Float[Array, ""]:
+        """One size for all channels: a base that is free along an axis has no reaction along it."""
+        return jnp.max(largest)
+
+    def unloaded(self, drive: Float[Array, "3"]) -> Float[Array, "1 3"]:
+        """Reaction of the free whisker."""
+        return rotated(self.free, drive[2])
+
+    def bent(self, drive: Float[Array, "3"]) -> Float[np.ndarray, "3"]:
+        """Reaction of a bent whisker."""
+        return BENT
+
+    def contacts(self, drive: Float[Array, "3"], signals: StepSignals, judgement: Judgement) -> Contacts:
         """The contact at one step."""
         one = jax.tree.map(lambda leaf: leaf[0], signals)
         pose = None if one.pose is None else rotated(one.pose - drive, -drive[2])
         observed = HeldObservation(one.reaction, one.weight, drive, self.equations, pose, one.lean)
-        near = nearest_state(observed)
-        values, spread = near.state.values, jnp.sum(near.by_y.values[:4, :, None] * near.follows(-jnp.eye(3)), axis=1)
-        covariance = jnp.sum(spread[:, None, :] * spread, axis=-1) + near.ambiguity(observed, values[:4])
-        ok = one.touching & near.ok
+        located = locate(observed, 4)
+        values, spread, ok = located.values, located.by_channels, one.touching & located.ok
+        covariance = jnp.sum(spread[:, None, :] * spread, axis=-1) + located.ambiguous
         as_measured = observed._replace(reaction=one.measured).base()
-        values = values.at[4:7].set(jnp.where(ok, values[4:7], as_measured))
-        found = Contacts(values, near.phase.tip, ok, near.chi2, covariance)
+        base = dict(zip(("base_x", "base_y", "base_angle"), jnp.where(ok, values[4:7], as_measured), strict=True))
+        contact = dict(zip(("x", "y", "slope", "arc"), values[:4], strict=True)) | {"force": values[7]}
+        found = Contacts(contact, base, located.tip, ok, located.chi2, covariance)
         return jax.tree.map(lambda leaf: leaf[None], found)
 
 

@@ -12,15 +12,14 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._inverse.mechanics import Contacts, Judgement, StepSignals
 from jaxwhisker._inverse.nearest import (
-    Contacts,
     Estimate,
     PhaseCandidate,
-    StepSignals,
     WhiskerState,
     nearest_state,
     rotated,
@@ -36,6 +35,7 @@ GUESSES = 16  # pieces of the rod that are searched for the zero of the moment
 LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
 START = 0.02  # of the length: least initial arc beyond the contact, because pointed tips overflow
 POINTED = 1e-4  # of the length: least distance of a contact from a tip without stiffness
+BENT = np.array([-0.8795, 0.4758, 0.9755])  # reaction of a bent whisker
 
 
 class PlaneObservation(NamedTuple):
@@ -156,14 +156,18 @@ class Instrument(NamedTuple):
     flexibility: Float[Array, "whiskers 3 whiskers 3"]  # in the drive's frame
     rest: Float[Array, "whiskers 3"]  # x, y, angle of the unloaded bases in the drive's frame
 
-    unloaded = None
+    def peaks(self, largest: Float[Array, "whiskers 3"]) -> Float[Array, "whiskers 3"]:
+        """The size of each channel."""
+        return largest
 
-    @property
-    def coupled(self) -> Bool[Array, "whiskers whiskers"]:
-        """Whether the load on one whisker moves the base of another one."""
-        return jnp.any(self.flexibility != 0, axis=(1, 3))
+    def unloaded(self, drive: Float[Array, "3"]) -> None:
+        """Without a contact, reactions vanish."""
 
-    def contacts(self, drive: Float[Array, "3"], signals: StepSignals) -> Contacts:
+    def bent(self, drive: Float[Array, "3"]) -> Float[np.ndarray, "3"]:
+        """Reaction of a bent whisker."""
+        return BENT
+
+    def contacts(self, drive: Float[Array, "3"], signals: StepSignals, judgement: Judgement) -> Contacts:
         """The contacts of all whiskers at one step."""
         known = self if signals.pose is None else self._replace(flexibility=jnp.zeros_like(self.flexibility))
         located = each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
@@ -171,11 +175,12 @@ class Instrument(NamedTuple):
         reactions = jnp.where(ok[:, None], located.state.reaction, signals.measured)
         bases = known._base_poses(drive, reactions) if signals.pose is None else signals.pose
         x, y, slope, arc, base_angle = located.state.values.T
-        bases = bases.at[:, 2].set(jnp.where(ok, base_angle, bases[:, 2]))
-        values = jnp.stack([bases[:, 0] + x, bases[:, 1] + y, slope, arc, *bases.T, located.near.y[:, 0]], axis=1)
-        covariance = known._covariance(located, drive[2], jnp.where(ok[:, None], signals.deviation, 0.0))
+        base_x, base_y, angle = bases.T
+        base = {"base_x": base_x, "base_y": base_y, "base_angle": jnp.where(ok, base_angle, angle)}
+        contact = {"x": base_x + x, "y": base_y + y, "slope": slope, "arc": arc, "force": located.near.y[:, 0]}
+        covariance = known._covariance(located, drive[2], jnp.where(ok[:, None], signals.noise, 0.0))
         near = located.near
-        return Contacts(values, near.phase.tip, ok, near.chi2, covariance + located.ambiguous)
+        return Contacts(contact, base, near.phase.tip, ok, near.chi2, covariance + located.ambiguous)
 
     def _observations(self, drive, signals: StepSignals) -> tuple:
         """The fields of a PlaneObservation of every whisker, except the section."""

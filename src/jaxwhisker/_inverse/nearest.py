@@ -25,29 +25,6 @@ LEAST_CHANGE, LARGEST_CHANGE = -0.7, 2.0  # of the other parameters, relative to
 SOLVED = 1e-7  # largest residual of the conditions
 
 
-class StepSignals(NamedTuple):
-    """The signals of one step, dimensionless, sorted by what they show; every field (whiskers, ...)."""
-
-    missing: Bool[Array, " whiskers"]
-    touching: Bool[Array, " whiskers"]
-    measured: Float[Array, "whiskers 3"]  # 0 where missing; below the noise, they still move other whiskers' bases
-    deviation: Float[Array, "whiskers 3"]
-    reaction: Float[Array, "whiskers 3"]  # those that are fitted: some bent whisker's without a contact
-    weight: Float[Array, "whiskers 3"]
-    pose: Float[Array, "whiskers 3"] | None  # of bases, if measured; the drive's where missing
-    lean: Float[Array, " whiskers"] | None  # of contact forces; None without friction
-
-
-class Contacts(NamedTuple):
-    """The contacts of all whiskers at one step in the scene, dimensionless; every field (whiskers, ...)."""
-
-    values: Float[Array, "whiskers 8"]  # contact x, y, slope, arc; pose of the base, also where not ok; contact force
-    tip: Bool[Array | np.ndarray, " whiskers"]
-    ok: Bool[Array, " whiskers"]  # whether there is a contact and its state is solved
-    chi2: Float[Array, " whiskers"]
-    covariance: Float[Array, "whiskers 4 4"]  # of contact x, y, slope and arc
-
-
 class PhaseCandidate(NamedTuple):
     """A candidate for the phase of a contact."""
 
@@ -149,6 +126,26 @@ def nearest_state(observed: Observation) -> Estimate:
     doubt = jnp.where(both, jax.nn.sigmoid((least - more) / 2), 0.0)
     chi2 = jnp.sum(residual[: observed.reaction.size] ** 2)
     return Estimate(y, state, by_y, phase, jnp.any(ok), chi2, gradient, second[:n], other, doubt)
+
+
+class LocatedContact(NamedTuple):
+    """A contact that depends on the channels of its own whisker only."""
+
+    values: Float[Array, "*whiskers values"]  # see WhiskerState
+    by_channels: Float[Array, "*whiskers numbers channels"]  # of the first values, with respect to whitened channels
+    ambiguous: Float[Array, "*whiskers numbers numbers"]  # covariance of these that the other phase adds
+    tip: Bool[Array | np.ndarray, "*whiskers"]
+    ok: Bool[Array, "*whiskers"]
+    chi2: Float[Array, "*whiskers"]
+
+
+def locate(observed: Observation, numbers: int) -> LocatedContact:
+    """Locate the contact of one whisker; the first `numbers` of its values have a covariance."""
+    near = nearest_state(observed)
+    values, by_y = near.state.values, near.by_y.values[:numbers]
+    by_channels = jnp.sum(by_y[:, :, None] * near.follows(-jnp.eye(observed.reaction.size)), axis=1)
+    ambiguous = near.ambiguity(observed, values[:numbers])
+    return LocatedContact(values, by_channels, ambiguous, jnp.asarray(near.phase.tip), near.ok, near.chi2)
 
 
 def rotated(vectors: Float[Array, "*batch 3"], angle: Scalar) -> Float[Array, "*batch 3"]:

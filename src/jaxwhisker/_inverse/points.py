@@ -1,6 +1,7 @@
 """The result of a reconstruction: points of the object, their uncertainty, and what follows from them."""
 
-from typing import NamedTuple
+import abc
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -25,28 +26,6 @@ class PointStatus(NamedInt):
     free = 1  # its signals are compatible with no contact
     failed = 2  # no state of the whisker was found near its signals
     missing = 3  # a signal is NaN: its own, or one that the position of its base depends on
-
-
-class Step(eqx.Module):
-    """Contacts of the whiskers; every field (steps, whiskers), in the sensor's units.
-
-    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base and the significance are
-    also known for whiskers whose signals are not missing.
-    """
-
-    x: Float[Array, "*steps whiskers"]  # contact: a point of the object
-    y: Float[Array, "*steps whiskers"]
-    slope: Float[Array, "*steps whiskers"]  # alpha of the object there, rad
-    arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
-    force: Float[Array, "*steps whiskers"]  # f > 0
-    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
-    base_x: Float[Array, "*steps whiskers"]
-    base_y: Float[Array, "*steps whiskers"]
-    base_angle: Float[Array, "*steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
-    chi2: Float[Array, "*steps whiskers"]  # chi-squared of the nearest state, with one degree of freedom
-    significance: Float[Array, "*steps whiskers"]  # of the signals, in standard deviations of their noise
-    status: Int[Array, "*steps whiskers"]  # PointStatus
-    covariance: Float[Array, "*steps whiskers 4 4"]  # of x, y, slope and arc
 
 
 class VertexEstimates(NamedTuple):
@@ -74,34 +53,81 @@ class Consistency(NamedTuple):
         return f"{known.sum()} points compared, at most {largest:.3g} apart{chi2}"
 
 
-class Reconstruction(Step):
-    """Points of the object at every step and for every whisker, with their uncertainty.
-
-    Errors are of first order in the noise of all reactions at a step, and in the errors of the sensor's parameters if
-    their covariance was given. Where both phases are possible, the difference between them is added. Errors are NaN if
-    neither the noise nor that covariance is known.
-    """
+class AbstractReconstruction(eqx.Module):
+    """Points of an object at every step and for every whisker, with their uncertainty, in the plane or in space."""
 
     control: Float[Array, " steps"]
     length: Float[Array, ""]  # of the first whisker
+    x: Float[Array, "steps whiskers"]  # contact: a point of the object
+    y: Float[Array, "steps whiskers"]
+    arc: Float[Array, "steps whiskers"]  # arc length from base to contact
+    phase: Int[Array, "steps whiskers"]  # Phase.free, .tip, .tangential (on the shaft)
+    base_x: Float[Array, "steps whiskers"]
+    base_y: Float[Array, "steps whiskers"]
+    chi2: Float[Array, "steps whiskers"]  # chi-squared of the nearest state
+    significance: Float[Array, "steps whiskers"]  # of the signals, in standard deviations of their noise
+    status: Int[Array, "steps whiskers"]  # PointStatus
+    covariance: eqx.AbstractVar[Float[Array, "steps whiskers numbers numbers"]]
+    _across: eqx.AbstractClassVar[str]  # the direction of `normal_error`, in words
+
+    @property
+    @abc.abstractmethod
+    def _normal(self) -> Float[Array, "steps whiskers axes"]:
+        """Unit vectors in the direction of `normal_error`."""
+
+    @abc.abstractmethod
+    def _findings(self) -> list[str]:
+        """Further lines of the summary."""
 
     @property
     @in_double
-    def standard_error(self) -> Float[Array, "steps whiskers 4"]:
-        """Standard errors of x, y, slope and arc."""
+    def standard_error(self) -> Float[Array, "steps whiskers numbers"]:
+        """Standard errors of x, y, slope and arc; in space, of x, y, z, arc, force_x, force_y and force_z."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
+
+    @property
+    @in_double
+    def normal_error(self) -> Float[Array, "steps whiskers"]:
+        """Standard error of the position across the contour, in space along the contact force; a length."""
+        normal = self._normal
+        axes = normal.shape[-1]
+        return jnp.sqrt(jnp.einsum("...i,...ij,...j", normal, self.covariance[..., :axes, :axes], normal))
 
     @property
     def clear(self) -> Bool[np.ndarray, "steps whiskers"]:
         """Which points are clear of the noise: their errors are linear in it."""
         return (np.asarray(self.status) == PointStatus.ok) & ~(np.asarray(self.significance) < SIGNIFICANT)
 
+    def __str__(self) -> str:
+        status, phase = np.asarray(self.status), np.asarray(self.phase)
+        steps, whiskers = status.shape
+        counted = [f"{np.sum(phase == p)} {p.name}" for p in (Phase.tip, Phase.tangential)]
+        counted += [f"{np.sum(status == s)} {s.name}" for s in list(PointStatus)[1:] if np.any(status == s)]
+        lines = [f"{steps} steps of {whiskers} whisker{'s' * (whiskers > 1)}: {', '.join(counted)}"]
+        error = np.asarray(self.normal_error)
+        if np.isfinite(error).any():
+            lines.append(f"standard error {self._across}: {np.nanmedian(error):.3g} (median)")
+        return "\n".join([*lines, *self._findings()])
+
+    __repr__ = __str__
+
+
+class Reconstruction(AbstractReconstruction):
+    """Points of the object at every step and for every whisker, with their uncertainty, in the sensor's units.
+
+    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base and the significance are
+    also known for whiskers whose signals are not missing. `chi2` has one degree of freedom.
+    """
+
+    slope: Float[Array, "steps whiskers"]  # alpha of the object at the contact, rad
+    force: Float[Array, "steps whiskers"]  # f > 0
+    base_angle: Float[Array, "steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
+    covariance: Float[Array, "steps whiskers 4 4"]  # of x, y, slope and arc
+    _across = "across the contour"
+
     @property
-    @in_double
-    def normal_error(self) -> Float[Array, "steps whiskers"]:
-        """Standard error of the position across the contour, a length."""
-        normal = jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
-        return jnp.sqrt(jnp.einsum("...i,...ij,...j", normal, self.covariance[..., :2, :2], normal))
+    def _normal(self):
+        return jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
 
     @property
     @in_double
@@ -178,28 +204,97 @@ class Reconstruction(Step):
         error[here] = np.where(between, np.sqrt(own_variance + inverse[:, 0, 0]), np.nan)
         return distance, error
 
-    def __str__(self) -> str:
-        status, phase = np.asarray(self.status), np.asarray(self.phase)
-        steps, whiskers = status.shape
-        counted = [f"{np.sum(phase == p)} {p.name}" for p in (Phase.tip, Phase.tangential)]
-        counted += [f"{np.sum(status == s)} {s.name}" for s in list(PointStatus)[1:] if np.any(status == s)]
-        lines = [f"{steps} steps of {whiskers} whisker{'s' * (whiskers > 1)}: {', '.join(counted)}"]
-        error = np.asarray(self.normal_error)
-        if np.isfinite(error).any():
-            lines.append(f"standard error across the contour: {np.nanmedian(error):.3g} (median)")
-        vertex = self.vertex()
+    def _findings(self):
+        vertex, lines = self.vertex(), []
         for k in np.flatnonzero(np.isfinite(vertex.x)):
             x, y = (_with_error(*pair) for pair in ((vertex.x[k], vertex.x_error[k]), (vertex.y[k], vertex.y_error[k])))
             lines.append(f"whisker {k + 1}: vertex at x = {x}, y = {y}")
-        return "\n".join([*lines, *([str(self.consistency())] * (whiskers > 1))])
+        return [*lines, *([str(self.consistency())] * (self.x.shape[1] > 1))]
 
-    __repr__ = __str__
+
+class SpaceReconstruction(AbstractReconstruction):
+    """Points of the object in space at every step and for every whisker, in the scene's frame and units.
+
+    Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base, the significance, and
+    the product of force and moment are also known for whiskers whose signals are not missing.
+
+    `chi2` has as many degrees of freedom as there are channels, less three; less four on the shaft with friction.
+    """
+
+    z: Float[Array, "steps whiskers"]
+    force_x: Float[Array, "steps whiskers"]  # force of the object on the whisker
+    force_y: Float[Array, "steps whiskers"]
+    force_z: Float[Array, "steps whiskers"]
+    tangent: Float[Array, "steps whiskers 3"]  # direction of the whisker at the contact, towards its tip
+    base_z: Float[Array, "steps whiskers"]
+    base_rotation: Float[Array, "steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
+    # Cosine of the angle between measured force and moment, which are perpendicular for every contact at a point, and
+    # their product in standard deviations of its noise; NaN if not all six channels are measured.
+    force_moment: Float[Array, "steps whiskers"]
+    force_moment_score: Float[Array, "steps whiskers"]
+    covariance: Float[Array, "steps whiskers 7 7"]  # of x, y, z, arc, force_x, force_y, force_z
+    in_space, _across = True, "along the force"
+
+    @property
+    @in_double
+    def point(self) -> Float[Array, "steps whiskers 3"]:
+        """The contact point (x, y, z)."""
+        return jnp.stack([self.x, self.y, self.z], axis=-1)
+
+    @property
+    @in_double
+    def force(self) -> Float[Array, "steps whiskers 3"]:
+        """Force of the object on the whisker."""
+        return jnp.stack([self.force_x, self.force_y, self.force_z], axis=-1)
+
+    @property
+    @in_double
+    def direction(self) -> Float[Array, "steps whiskers 3"]:
+        """Direction of that force: without friction, the outward normal of the object."""
+        return self.force / jnp.sqrt(jnp.sum(self.force**2, axis=-1, keepdims=True))
+
+    @property
+    def _normal(self):
+        return self.direction
+
+    def _findings(self):
+        score = np.asarray(self.force_moment_score)[np.asarray(self.status) == PointStatus.ok]
+        if not np.isfinite(score).any():
+            return []
+        return [f"force . moment: {np.sqrt(np.nanmean(score**2)):.3g} standard deviations of its noise (rms)"]
 
 
 def bar_ends(x, y, slope, reach):
     """x and y of the ends of bars across a contour, (2, ...): the outer ends first."""
     x_out, y_out = jnp.sin(slope) * reach, -jnp.cos(slope) * reach
     return jnp.stack([x + x_out, x - x_out]), jnp.stack([y + y_out, y - y_out])
+
+
+def perpendicular(
+    reaction: Float[Any, "*steps whiskers 6"],
+    root: Float[Any, "*steps whiskers 6 roots"],
+    missing: Bool[Any, "*steps whiskers"],
+    xp: Any = jnp,
+) -> tuple[Any, Any]:
+    """Cosine of the angle between force and moment, and their product in standard deviations of its noise.
+
+    Args:
+        reaction: force and moment of each whisker.
+        root: of the covariance of their noise: root @ root.T.
+        missing: whiskers without a value, whose results are NaN.
+        xp: numpy or jax.numpy.
+    """
+    force, moment = reaction[..., :3], reaction[..., 3:]
+    product = xp.sum(force * moment, axis=-1)
+    sizes = xp.sum(force**2, axis=-1) * xp.sum(moment**2, axis=-1)
+    by_noise = xp.sum(xp.concatenate([moment, force], axis=-1)[..., None] * root, axis=-2)
+    variance = xp.sum(by_noise**2, axis=-1)
+
+    def ratio(square):
+        known = ~missing & (square > 0)
+        return xp.where(known, product / xp.sqrt(xp.where(known, square, 1.0)), xp.nan)
+
+    return ratio(sizes), ratio(variance)
 
 
 def _weighted_fit(values, direction, by_slope, columns, spread) -> tuple[np.ndarray, float]:

@@ -2,51 +2,59 @@
 
 Drive, mount and springs determine the pose of a base under the measured load. From there the rod is known up to the
 point at which its moment vanishes. That is the contact, and the force there is normal to the object. Three reactions
-are one more than needed, which decides the phase and separates noise from signal: see nearest.py.
+are one more than needed, which decides the phase and separates noise from signal: see nearest.py. In space there are
+up to six: see space.py.
 
 Source: Will, Behn, Steigenberger (2017), ZAMM, "Object contour scanning using elastically supported technical
 vibrissae" (for exact signals).
 """
 
-import dataclasses
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._inverse.features import noise_of
-from jaxwhisker._inverse.inverse_held import HeldInstrument, held_instrument
-from jaxwhisker._inverse.inverse_rod import Instrument, instrument
-from jaxwhisker._inverse.nearest import StepSignals, rotated
-from jaxwhisker._inverse.observations import Observations, channels_of, read_observations
+from jaxwhisker._inverse.mechanics import (
+    AnyDrive,
+    AnyInstrument,
+    AnySensor,
+    InverseMechanics,
+    Judgement,
+    Readings,
+    StepSignals,
+    root_of,
+    whitened,
+)
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
-from jaxwhisker._inverse.points import PointStatus, Reconstruction, Step
-from jaxwhisker._inverse.recording import check_signs
+from jaxwhisker._inverse.plane import InversePlane
+from jaxwhisker._inverse.points import PointStatus, Reconstruction, SpaceReconstruction
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
-from jaxwhisker._model.support import Support
-from jaxwhisker._scan.blocks import BLOCK
-from jaxwhisker._scan.quantities import REACTIONS
+from jaxwhisker._scan.blocks import BLOCK, in_blocks
 
 if TYPE_CHECKING:
-    from jaxwhisker._inverse.points_in_space import SpaceReconstruction
     from jaxwhisker._model.space_scene import SpaceScene
 
 InPlane: TypeAlias = Sensor | Scene | Callable[..., Sensor | Scene]
 Names: TypeAlias = Mapping[str, Any] | None
-FREE = 16.266  # 99.9 % quantile of chi-squared of three reactions: below it they may be only noise
+Points: TypeAlias = dict[str, Array]  # fields of the result
+# Fields of a result by their unit; others are numbers.
+LENGTHS, FORCES = ("x", "y", "z", "arc", "base_x", "base_y", "base_z"), ("force", "force_x", "force_y", "force_z")
+# 99.9 % quantiles of chi-squared of so many reactions: below them they may be only noise.
+FREE = {3: 16.266, 5: 20.515, 6: 22.458}
 # The same with the peaks in place of the noise, if the noise is unknown. Without contact, reactions vanish, or differ
 # from those that springs on shafts cause by rounding: by 2e-12 of the peak for a pointed cone, and less for others.
 EXACTLY_FREE = 1e-18
-
-# Reactions of a bent whisker replace those of whiskers without a contact, because every derivative must be finite.
-PLACEHOLDER = np.array([-0.8795, 0.4758, 0.9755])
+# By how much chi-squared has to be smaller in a phase that has a parameter more (Akaike), with and without noise:
+# signals of scans determine the arc to 1e-8.
+HANDICAP, EXACT_HANDICAP = 2.0, 1e-14
 
 
 @overload
@@ -68,7 +76,7 @@ def reconstruct(
     sigma: Any = None,
     parameters: Names = None,
     covariance: Any = None,
-) -> "SpaceReconstruction": ...
+) -> SpaceReconstruction: ...
 @with_own_settings
 def reconstruct(
     measured: Any,
@@ -106,7 +114,9 @@ def reconstruct(
 
     Returns:
         A Reconstruction, in space a SpaceReconstruction; NaN where a whisker is `free`, where signals are `missing`, or
-        where no state fits (`failed`).
+        where no state fits (`failed`). Errors are of first order in the noise of all reactions at a step, and in the
+        errors of the sensor's parameters if `covariance` is given. Where both phases are possible, the difference
+        between them is added. Errors are NaN if neither the noise nor that covariance is known.
 
     Raises:
         ValueError: if an argument is wrong, JAX cannot trace the function, or signals are missing or negated; if
@@ -128,235 +138,181 @@ def reconstruct(
     if covariance is not None and np.shape(covariance) != (values.size,) * 2:
         allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
-    if getattr(made, "in_space", False):
-        return _in_space(measured, made, sigma, base, slip, (sensor, names, values, covariance))
-    known = sensor_of(made)
-    if known.support.on_shafts:
-        _check_held(known, base)
+    mechanics = _mechanics_of(made)
+    known = mechanics.sensor(made)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
-        check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
-    readings = _signals(measured, sigma, known, base)
-    control, signals, _ = readings
-    shape = signals.shape[0], signals.shape[1]
-    readings = *readings, None if base is None else _poses(base, shape), _slips(known, slip, control, shape)
+        check_traceable(sensor, parameters, called="sensor")
+    kinds, readings = mechanics.read(measured, sigma, known, base, slip)
+    readings = jax.tree.map(jnp.asarray, readings.with_roots() if mechanics.correlated else readings)
+    control = readings.control
     # Recordings of similar length share a compilation.
     padding = -control.size % BLOCK
     readings = jax.tree.map(
         lambda array: jnp.pad(array, [(0, padding)] + [(0, 0)] * (array.ndim - 1), mode="edge"), readings
     )
     if parameters is None or covariance is None:
-        points = _contacts_now(jax.tree.map(checks.as_float, known), *readings)
+        points = _contacts_now(mechanics, known, kinds, readings)
     else:
-        points = _contacts_of_parameters(sensor, names, values, jnp.asarray(covariance, dtype=float), readings)
+        widened = _contacts_of_parameters if mechanics.shared else _contacts_of_parameters_now
+        covariance = jnp.asarray(covariance, dtype=float)
+        points = widened(mechanics, sensor, names, values, covariance, kinds, readings)
     points = jax.tree.map(lambda leaf: leaf[: control.size], points)
-    return Reconstruction(**vars(points), control=control, length=jnp.asarray(known.whiskers[0].length, dtype=float))
+    return mechanics.result(control, jnp.asarray(known.whiskers[0].length, dtype=float), **points)
 
 
-def _in_space(measured: Any, made: Any, sigma: Any, base: Any, slip: Any, parameters: tuple) -> Any:
-    from jaxwhisker._inverse.reconstruct_in_space import reconstruct_in_space
+def _mechanics_of(made: Any) -> type[InverseMechanics]:
+    if not getattr(made, "in_space", False):
+        return InversePlane
+    from jaxwhisker._inverse.space import InverseSpace
 
-    if base is not None:
-        checks.fail("base", "None in space", "poses")
-    if slip is not None:
-        checks.fail("slip", "None in space, where the direction of the force is measured", "one")
-    build, names, values, covariance = parameters
-    widened = None if covariance is None else (build, names, values, jnp.asarray(covariance, dtype=float))
-    if widened and not checks.is_traced(values):
-        check_traceable(build, dict(zip(names, map(float, values), strict=True)), called="sensor")
-    return reconstruct_in_space(measured, made, sigma, widened)
+    return InverseSpace
 
 
-def sensor_of(sensor: Any) -> Sensor:
-    """The sensor, or that of a scene.
+class _Prepared(NamedTuple):
+    """What the contacts at all steps follow from, without dimensions."""
 
-    Raises:
-        ValueError: if it is neither.
-    """
-    if isinstance(sensor, Scene):
-        return Sensor.of(sensor)
-    checks.instance("sensor", sensor, Sensor, "a Sensor, a Scene or a function that returns one")
-    return sensor
+    known: AnyInstrument
+    unit: Units
+    # Placements of the drive, reactions, their noise, poses of bases and leans of contact forces; fields (steps, ...).
+    steps: tuple[AnyDrive, Any, Any, Any, Any]
 
 
-def _signals(measured: Any, sigma: Any, known: Sensor, base: Any):
-    """Control (steps,), reactions and their noise (steps, whiskers, 3); None for exact signals."""
-    whiskers = len(known.whiskers)
-    if not checks.is_traced((measured, sigma)):
-        observations = read_observations(measured, sigma, whiskers=whiskers)
-        _check_complete(observations, coupled=base is None and any(0 not in s.between for s in known.support.springs))
-        if sigma is None and (noise := noise_of(observations)) is not None:
-            observations = observations.with_sigma(noise)
-        if base is None and not checks.is_traced(known):  # measured poses may be those of another motion
-            check_signs(observations, known)
-        exact = np.isnan(observations.sigma).all()
-        noise = None if exact else jnp.asarray(np.where(np.isnan(observations.sigma), 1.0, observations.sigma))
-        return jnp.asarray(observations.control), jnp.asarray(observations.values), noise
-    if not isinstance(measured, Mapping) or not {"control", *REACTIONS} <= set(measured):
-        raise ValueError("`measured` must be a mapping with control, fx, fy and mz within jit, vmap and derivatives.")
-    control = jnp.asarray(measured["control"], dtype=float)
-    shape = control.shape[0], whiskers
-    values = jnp.stack([jnp.reshape(jnp.asarray(measured[c], dtype=float), shape) for c in REACTIONS], axis=-1)
-    if sigma is None:
-        return control, values, None
-    each = sigma if isinstance(sigma, Mapping) else dict.fromkeys(REACTIONS, sigma)
-    noise = [jnp.broadcast_to(jnp.asarray(each[c], dtype=float), shape) for c in REACTIONS]
-    return control, values, jnp.stack(noise, axis=-1)
+def _judgement(readings: Readings, kinds: tuple[str, ...]) -> Judgement:
+    """How these signals are judged."""
+    if readings.noise is None:
+        return Judgement(EXACTLY_FREE, EXACT_HANDICAP, np.nan)
+    return Judgement(FREE[len(kinds)], HANDICAP, 1.0)
 
 
-def _check_complete(observations: Observations, *, coupled: bool) -> None:
-    """Check that fx, fy and mz of every whisker are there, or of every measured one if springs do not couple them."""
-    known = np.asarray(observations.known.any(axis=0))
-    needed = np.asarray(coupled | np.any(known, axis=1))
-    lacking = [c.name for c in channels_of(len(known)) if needed[c.whisker] and not known[c.whisker, c.kind]]
-    if lacking or not known.any():
-        words = f"no value of {', '.join(lacking)}" if lacking else "no values"
-        raise ValueError(
-            f"`measured` must hold fx, fy and mz of every whisker for a reconstruction, got {words}; `identify` and "
-            "`fit_contour` fit fewer signals."
-        )
+def _contacts(
+    mechanics: type[InverseMechanics], sensor: AnySensor, kinds: tuple[str, ...], readings: Readings
+) -> Points:
+    """Contacts at all steps, in the sensor's units."""
+    parts = mechanics.parts(sensor)
+    if len(parts) == 1:
+        return _located(mechanics, _prepared(mechanics, sensor, kinds, readings), _judgement(readings, kinds))
+    each = []
+    for k, part in enumerate(parts):
+        of_part = jax.tree.map(lambda array, k=k: array if array.ndim == 1 else array[:, k : k + 1], readings)
+        each.append(_contacts(mechanics, part, kinds, of_part))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *each)
 
 
-def _poses(base: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers 3"]:
-    if not (isinstance(base, (tuple, list)) and len(base) == 3):
-        raise ValueError(f"`base` must be x, y and angle of the bases, got {base!r}.")
-    poses = []
-    for value in base:
-        value = jnp.asarray(value, dtype=float)
-        if value.shape not in (shape, shape[:1]):
-            raise ValueError(f"`base` must hold arrays of shape {shape}, got shape {value.shape}.")
-        poses.append(jnp.broadcast_to(value if value.ndim == 2 else value[:, None], shape))
-    return jnp.stack(poses, axis=-1)
+def _prepared(
+    mechanics: type[InverseMechanics], sensor: AnySensor, kinds: tuple[str, ...], readings: Readings
+) -> _Prepared:
+    """The sensor and its signals without dimensions."""
+    unit = jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
+    known, drive, poses, leans = mechanics.dimensionless(sensor, unit, kinds, readings)
+    sizes = jnp.stack([unit.force if kind[0] == "f" else unit.moment for kind in kinds])
+    reaction, noise = readings.signals / sizes, readings.noise
+    if noise is None:
+        peaks = known.peaks(jnp.max(jnp.nan_to_num(jnp.abs(jax.lax.stop_gradient(reaction))), axis=0))
+        noise = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
+        noise = root_of(noise) if mechanics.correlated else noise
+    else:
+        noise = noise / (sizes[:, None] if mechanics.correlated else sizes)
+    return _Prepared(known, unit, (drive, reaction, noise, poses, leans))
 
 
-@Program
-def _contacts_of_parameters(build, names, values, covariance, readings) -> Step:
+def _located(mechanics: type[InverseMechanics], prepared: _Prepared, judgement: Judgement) -> Points:
+    """Contacts at all steps, in the sensor's units."""
+    known, unit, steps = prepared
+    return jax.vmap(lambda *at: _step(mechanics, known, unit, judgement, *at))(*steps)
+
+
+_contacts_together, _prepared_now, _located_now = Program(_contacts), Program(_prepared), Program(_located)
+
+
+def _contacts_now(
+    mechanics: type[InverseMechanics], sensor: AnySensor, kinds: tuple[str, ...], readings: Readings
+) -> Points:
+    """Contacts at all steps by compiled programs."""
+    sensor = jax.tree.map(checks.as_float, sensor)
+    if not mechanics.shared:
+        return _contacts_together(mechanics, sensor, kinds, readings)
+    prepared = _prepared_now(mechanics, sensor, kinds, readings)
+    judgement = jax.tree.map(np.asarray, _judgement(readings, kinds))
+
+    def block(*steps):
+        return _located_now(mechanics, prepared._replace(steps=steps), judgement)
+
+    return in_blocks(block, prepared.steps, BLOCK)
+
+
+def _contacts_of_parameters(mechanics, build, names, values, covariance, kinds, readings) -> Points:
     """The points, with the uncertainty of the parameters added to their covariance."""
+    contacts = _contacts_now if mechanics.shared else _contacts
 
     def at(values):
-        points = _contacts(sensor_of(build(**dict(zip(names, values, strict=True)))), *readings)
-        return jnp.stack([points.x, points.y, points.slope, points.arc], axis=-1), points
+        sensor = mechanics.sensor(build(**dict(zip(names, values, strict=True))))
+        points = contacts(mechanics, sensor, kinds, readings)
+        return jnp.stack([points[name] for name in mechanics.numbers], axis=-1), points
 
     by_values, points = jax.jacfwd(at, has_aux=True)(values)
     of_values = jnp.einsum("...ip,pq,...jq->...ij", by_values, covariance, by_values)
-    of_noise = jnp.zeros(()) if readings[2] is None else points.covariance
-    return dataclasses.replace(points, covariance=of_values + of_noise)
+    of_noise = jnp.zeros(()) if readings.noise is None else points["covariance"]
+    return points | {"covariance": of_values + of_noise}
 
 
-def _slips(sensor: Sensor, slip: Any, control: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers"] | None:
-    """Directions of slip; None without friction."""
-    if slip is not None and sensor.friction is None:
-        raise ValueError("`slip` must be given for a sensor with friction only, got one for a sensor without friction.")
-    if sensor.friction is None:
-        return None
-    if slip is not None:
-        slip = jnp.asarray(slip, dtype=float)
-        if slip.shape not in (shape, shape[:1]):
-            raise ValueError(f"`slip` must be an array of shape {shape}, got shape {slip.shape}.")
-        return jnp.broadcast_to(slip if slip.ndim == 2 else slip[:, None], shape)
-    moves = jnp.sign(jnp.diff(control))
-    # While the drive stands still, the direction stays.
-    moves = jax.lax.associative_scan(lambda a, b: jnp.where(b == 0, a, b), moves)
-    with_drive = -sensor.motion.onwards * jnp.concatenate([moves[:1], moves])
-    return jnp.broadcast_to(with_drive[:, None], shape)
+_contacts_of_parameters_now = Program(_contacts_of_parameters)
 
 
-def _check_held(sensor: Sensor, base: Any) -> None:
-    """Check that whiskers can be reconstructed one by one, and that signals determine the poses of their bases."""
-    for spring in sensor.support.springs:
-        if 0 not in spring.between:
-            allowed = "one whose springs do not connect whiskers, if springs or foundations hold shafts"
-            checks.fail("sensor", allowed, f"a spring between {spring.between}")
-    for k, own in enumerate(_alone(sensor)):
-        support = own.support
-        held = [axis for axis in support.axes if not support.along(axis)]
-        places = [at for spring in support.attached for _, at in spring.ends]
-        below = [at for at in places if checks.is_traced(at) or float(at) <= 0]
-        if base is None and len(held) > len(below):
-            raise ValueError(
-                f"`base` must be given, because no signal shows where the springs above the base of whisker {k + 1} "
-                f"hold it along {', '.join(held)}, got None."
-            )
-
-
-def _alone(sensor: Sensor) -> tuple[Sensor, ...]:
-    """A sensor for each whisker."""
-    support, each = sensor.support, []
-    for k, whisker in enumerate(sensor.whiskers):
-        own = [s for s in support.springs if s.between in ((0, k + 1), (k + 1, 0))]
-        springs = tuple(dataclasses.replace(s, between=(0, 1) if s.between[0] == 0 else (1, 0)) for s in own)
-        tissue = support.foundations[k]
-        attached = tissue is not None or not all(spring.linear for spring in springs)
-        held = Support(springs, support.mounts[k], foundation=tissue, free=support.free if attached else ())
-        each.append(Sensor(whisker, held, sensor.motion, sensor.friction))
-    return tuple(each)
-
-
-def _contacts(sensor: Sensor, control, signals, noise, poses, slips) -> Step:
-    """Contacts at all steps, in the sensor's units."""
-    held, whiskers = sensor.support.on_shafts, len(sensor.whiskers)
-    if held and whiskers > 1:  # which are not coupled
-        each = []
-        for k, own in enumerate(_alone(sensor)):
-            of_own = (None if v is None else v[:, k : k + 1] for v in (signals, noise, poses, slips))
-            each.append(_contacts(own, control, *of_own))
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=1), *each)
-    unit = jax.tree.map(checks.as_float, units_of(sensor.whiskers[0], sensor.motion))
-    known = held_instrument(sensor) if held else instrument(sensor, unit)
-    sizes, lengths = jnp.stack([unit.force, unit.force, unit.moment]), jnp.stack([unit.length, unit.length, 1.0])
-    reaction = signals / sizes
-    if noise is None:
-        peaks = jax.lax.stop_gradient(jnp.max(jnp.nan_to_num(jnp.abs(reaction)), axis=0))
-        if held:  # a base that is free along an axis has no reaction along it
-            peaks = jnp.max(peaks)
-        deviation = jnp.broadcast_to(jnp.where(peaks > 0, peaks, 1.0), reaction.shape)
-    else:
-        deviation = noise / sizes
-    drive = jnp.stack(jax.vmap(sensor.motion.pose)(control), axis=-1) / lengths
-    leans = None if slips is None else slips * jnp.arctan(jnp.asarray(sensor.friction, dtype=float))
-    each = drive, reaction, deviation, None if poses is None else poses / lengths, leans
-    return jax.vmap(lambda *at: _step(known, unit, noise is not None, *at))(*each)
-
-
-_contacts_now = Program(_contacts)
-
-
-def _step(known: Instrument | HeldInstrument, unit: Units, noisy: bool, drive, *measured) -> Step:
+def _step(
+    mechanics: type[InverseMechanics], known: AnyInstrument, unit: Units, judgement: Judgement, drive: AnyDrive, *at
+) -> Points:
     """Contacts of all whiskers at one step, computed without dimensions and given in the sensor's units."""
-    signals, significance = _sorted_signals(known, FREE if noisy else EXACTLY_FREE, drive, *measured)
-    found, if_noisy = known.contacts(drive, signals), 1.0 if noisy else jnp.nan
-    sizes = jnp.stack([unit.length, unit.length, 1.0, unit.length])
-    values = (found.values * jnp.concatenate([sizes, sizes[:3], jnp.stack([unit.force])])).T
-    at_base = jnp.where(signals.missing, jnp.nan, values[4:7])
-    values, ok = jnp.where(found.ok, values, jnp.nan), found.ok
+    signals, significance = _sorted_signals(known, judgement, drive, *at)
+    found, present, if_known = known.contacts(drive, signals, judgement), ~signals.missing, judgement.known
+    ok, sizes = found.ok, _sizes(unit, mechanics.numbers)
     codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
-    return Step(
-        *values[:4],
-        force=values[7],
-        phase=jnp.where(ok, jnp.where(found.tip, Phase.tip, Phase.tangential), Phase.free),
-        base_x=at_base[0],
-        base_y=at_base[1],
-        base_angle=at_base[2],
-        chi2=jnp.where(ok, found.chi2, jnp.nan) * if_noisy,
-        significance=jnp.where(signals.missing, jnp.nan, jnp.sqrt(significance)) * if_noisy,
-        status=jnp.select([signals.missing, ~signals.touching, ~ok], codes, PointStatus.ok),
-        covariance=jnp.where(ok[:, None, None], found.covariance, jnp.nan) * sizes[:, None] * sizes * if_noisy,
-    )
+    return {
+        **_in_units(unit, ok, found.contact),
+        **_in_units(unit, present, found.base),
+        "phase": jnp.where(ok, jnp.where(found.tip, Phase.tip, Phase.tangential), Phase.free),
+        "chi2": jnp.where(ok, found.chi2, jnp.nan) * if_known,
+        "significance": jnp.where(present, jnp.sqrt(significance), jnp.nan) * if_known,
+        "status": jnp.select([signals.missing, ~signals.touching, ~ok], codes, PointStatus.ok),
+        "covariance": _where(ok, found.covariance * sizes[:, None] * sizes, jnp.nan) * if_known,
+    }
 
 
-def _sorted_signals(known: Instrument | HeldInstrument, threshold: float, drive, reaction, deviation, pose, lean):
+def _sizes(unit: Units, names: Iterable[str]) -> Float[Array, " names"]:
+    """Units of fields of the result."""
+    sizes = dict.fromkeys(LENGTHS, unit.length) | dict.fromkeys(FORCES, unit.force)
+    return jnp.stack([sizes.get(name, 1.0) for name in names])
+
+
+def _in_units(unit: Units, known: Bool[Array, " whiskers"], fields: Points) -> Points:
+    """Fields in the sensor's units, NaN where they are not known."""
+    vectors = {name: _where(known, value, jnp.nan) for name, value in fields.items() if value.ndim > 1}
+    names = [name for name in fields if name not in vectors]
+    numbers = jnp.stack([fields[name] for name in names]) * _sizes(unit, names)[:, None]
+    return vectors | dict(zip(names, jnp.where(known, numbers, jnp.nan), strict=True))
+
+
+def _sorted_signals(known: AnyInstrument, judgement: Judgement, drive: AnyDrive, reaction, noise, pose, lean):
     """The signals of one step, and the chi-squared of no contact."""
     missing = jnp.any(jnp.isnan(reaction), axis=-1)
-    if pose is None:
-        # The position of a base depends on the loads on all whiskers that it is coupled to.
-        missing = missing | jnp.any(known.coupled & missing, axis=-1)
-    else:
+    if pose is not None:
         missing = missing | jnp.any(jnp.isnan(pose), axis=-1)
         pose = jnp.where(missing[:, None], drive, pose)
-    loaded = reaction if known.unloaded is None else reaction - rotated(known.unloaded, drive[2])
-    loaded = jnp.where(missing[:, None], PLACEHOLDER, loaded)
-    significance = jnp.sum((loaded / jnp.where(missing[:, None], 1.0, deviation)) ** 2, axis=-1)
-    touching = ~missing & ~(significance < threshold)
-    measured = jnp.where(missing[:, None], 0.0, reaction)
-    fitted = jnp.where(touching[:, None], measured, PLACEHOLDER)
-    weight = 1 / jnp.where(touching[:, None], deviation, 1.0)
-    return StepSignals(missing, touching, measured, deviation, fitted, weight, pose, lean), significance
+    elif known.flexibility is not None:
+        # The position of a base depends on the loads on all whiskers that it is coupled to.
+        missing = missing | jnp.any(jnp.any(known.flexibility != 0, axis=(1, 3)) & missing, axis=-1)
+    present, bent, unloaded = ~missing, known.bent(drive), known.unloaded(drive)
+    correlated = noise.ndim > reaction.ndim
+    one = jnp.eye(reaction.shape[-1]) if correlated else 1.0
+    noise = _where(present, noise, one)
+    weight = jax.vmap(inverse)(noise) if correlated else 1 / noise
+    loaded = _where(present, reaction if unloaded is None else reaction - unloaded, bent)
+    significance = jnp.sum(whitened(weight, loaded) ** 2, axis=-1)
+    touching = present & ~(significance < judgement.free)
+    measured = _where(present, reaction, 0.0)
+    fitted, weight = _where(touching, measured, bent), _where(touching, weight, one)
+    return StepSignals(missing, touching, measured, noise, fitted, weight, pose, lean), significance
+
+
+def _where(whiskers: Bool[Array, " whiskers"], values: Float[Array, "whiskers *rest"], otherwise: Any) -> Array:
+    """Values of some whiskers, and others elsewhere."""
+    return jnp.where(jnp.expand_dims(whiskers, tuple(range(1, values.ndim))), values, otherwise)

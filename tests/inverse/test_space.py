@@ -35,7 +35,7 @@ HAIR = jw.Whisker(bending_stiffness=Cone(0.5), lateral_curvature=0.3, torsion_ra
 @pytest.fixture(autouse=True)
 def short_recordings(monkeypatch):
     """Pad recordings to 32 steps instead of 512."""
-    monkeypatch.setattr("jaxwhisker._inverse.reconstruct_in_space.BLOCK", 32)
+    monkeypatch.setattr("jaxwhisker._inverse.reconstruct.BLOCK", 32)
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def sprung(stiffness):
 
 
 def test_derivatives(monkeypatch):
-    monkeypatch.setattr("jaxwhisker._inverse.reconstruct_in_space.BLOCK", 2)
+    monkeypatch.setattr("jaxwhisker._inverse.reconstruct.BLOCK", 2)
     result = jw.scan(sprung(40.0), np.array([1.0, 0.72, 0.2]))
     assert [int(phase) for phase in result.phase[1:, 0]] == [jw.Phase.tip, jw.Phase.tangential]
     some = six(result, slice(1, None))

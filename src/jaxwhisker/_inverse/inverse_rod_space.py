@@ -22,8 +22,11 @@ from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_matrix
 from jaxwhisker._base.rotations import matrix
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import stacked_or_each
-from jaxwhisker._inverse.inverse_rod import POINTED, START, each_whisker
-from jaxwhisker._inverse.nearest import PhaseCandidate, WhiskerState, nearest_state, value_and_jacobian
+from jaxwhisker._inverse.inverse_rod import LARGEST_ANGLE, POINTED, START, each_whisker
+from jaxwhisker._inverse.mechanics import Contacts, Judgement, StepSignals, whitened
+from jaxwhisker._inverse.nearest import LocatedContact, PhaseCandidate, WhiskerState, locate, value_and_jacobian
+from jaxwhisker._inverse.observations import OWN_REACTIONS
+from jaxwhisker._inverse.points import perpendicular
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space
 from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.scene import Units
@@ -31,14 +34,19 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker, with_equal_breaks
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import space_rod_end
+from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE
 from jaxwhisker._space.section import space_section
 
 STEPS = 12  # of a uniform rod, others take twice as many: an error of 1e-9 for a cone
 INTERVALS = 32  # of the rod that are searched for the zero of the moment
 NEAR_ZERO = 0.05  # of the largest moment: a smaller one counts as zero
-LARGEST_ANGLE = 3.0  # rad, between whisker and object at the tip
 TURNS = 8  # Newton steps for the rotation of a base under the measured load
-CONTACT = 7  # numbers that describe a contact: point, arc and force
+NUMBERS = "x", "y", "z", "arc", "force_x", "force_y", "force_z"  # that describe a contact
+CONTACT = len(NUMBERS)
+UNTWISTED = ("f1", "f2", "f3", "m1", "m2")
+LEVERS = (0.9, 0.6, 0.3)  # lengths: contacts from which the search for that of an axial force and a moment starts
+PARALLEL = 1e-3  # squared cosine of the angle to the base's tangent of a force that hardly shows the twisting moment
+BENT = np.array([-0.8795, 0.0, 0.4758, 0.0, -0.9755, 0.0])  # reaction of a bent whisker along d1, d2 and d3
 
 Vector = Float[Array, "3"]
 
@@ -218,27 +226,6 @@ def nearest_zero(moment: Float[Array, "points 3"]) -> tuple[Scalar, Any]:
     return first + share[first], first
 
 
-class LocatedInSpace(NamedTuple):
-    """The contact of a whisker relative to its base."""
-
-    values: Float[Array, "*whiskers 19"]  # see SpaceObservation.state
-    by_channels: Float[Array, "*whiskers 7 channels"]  # of point, arc and force with respect to whitened channels
-    ambiguous: Float[Array, "*whiskers 7 7"]  # covariance that the other phase adds
-    tip: Bool[Array, "*whiskers"]
-    ok: Bool[Array, "*whiskers"]
-    chi2: Float[Array, "*whiskers"]
-
-
-def locate(observed: SpaceObservation) -> LocatedInSpace:
-    """Locate the contact of one whisker."""
-    near = nearest_state(observed)  # pyright: ignore[reportArgumentType]
-    values, by_y = near.state.values, near.by_y.values[:CONTACT]
-    follows = near.follows(-jnp.eye(observed.reaction.size))
-    by_channels = jnp.sum(by_y[:, :, None] * follows, axis=1)
-    ambiguous = near.ambiguity(observed, values[:CONTACT])  # pyright: ignore[reportArgumentType]
-    return LocatedInSpace(values, by_channels, ambiguous, jnp.asarray(near.phase.tip), near.ok, near.chi2)
-
-
 class SpaceInstrument(NamedTuple):
     """A dimensionless sensor."""
 
@@ -248,21 +235,63 @@ class SpaceInstrument(NamedTuple):
     offset: Float[Array, "whiskers 3"]  # displacement of the unloaded bases
     flexibility: Float[Array, "whiskers 3 whiskers 3"]  # displacement of bases per force on them
     turning: BaseTurning | None  # fields (whiskers, ...)
-    own: bool  # whether reactions are in the frames of the bases
+    kinds: tuple[str, ...]  # names of the channels
     friction: bool
 
     @property
-    def coupled(self) -> Bool[Array, "whiskers whiskers"]:
-        """Whether the load on one whisker moves the base of another one."""
-        return jnp.any(self.flexibility != 0, axis=(1, 3))
+    def own(self) -> bool:
+        """Whether reactions are in the frames of the bases."""
+        return self.kinds != REACTIONS_IN_SPACE
 
-    def locate(self, drive: Placement, signals: tuple) -> LocatedInSpace:
+    @property
+    def places(self) -> np.ndarray:
+        """Places of the channels among the six reactions."""
+        return np.array([(OWN_REACTIONS if self.own else REACTIONS_IN_SPACE).index(kind) for kind in self.kinds])
+
+    def peaks(self, largest: Float[Array, "whiskers channels"]) -> Float[Array, "whiskers channels"]:
+        """One size for all forces and one for all moments: symmetry makes some of them vanish but for rounding."""
+        forces = np.array([kind[0] == "f" for kind in self.kinds])
+        return jnp.stack([jnp.max(largest[:, forces == kind], axis=1) for kind in forces], axis=1)
+
+    def unloaded(self, drive: Placement) -> None:
+        """Without a contact, reactions vanish."""
+
+    def bent(self, drive: Placement) -> Float[Array, "whiskers channels"]:
+        """Reactions of bent whiskers."""
+        bent = jnp.broadcast_to(BENT, (self.length.size, 6))
+        if not self.own:
+            upright = self.directors(drive, 0 * bent)
+            bent = jax.vmap(lambda directors, bent: in_frame(directors.T, bent))(upright, bent)
+        return bent[:, self.places]
+
+    def contacts(self, drive: Placement, signals: StepSignals, judgement: Judgement) -> Contacts:
+        """The contacts of all whiskers at one step."""
+        complete = jax.vmap(lambda values, length: _complete(self.kinds, values, length))
+        whiskers = self.length.size
+        six = jnp.zeros((whiskers, len(self.kinds), 6)).at[:, :, self.places].set(signals.weight)
+        reactions = complete(signals.reaction, self.length)
+        handicap = jnp.full(whiskers, judgement.handicap)
+        located = self._located(drive, (whitened(signals.weight, signals.reaction), six, reactions, handicap))
+        ok, values = signals.touching & located.ok, located.values
+        positions = self.positions(drive, jnp.where(ok[:, None], values[:, 4:7], 0.0))
+        as_measured = self.directors(drive, complete(signals.measured, self.length)[:, 0])
+        directors = jnp.where(ok[:, None, None], values[:, 10:].reshape(-1, 3, 3), as_measured)
+        numbers = *(positions + values[:, :3]).T, *values[:, 3:CONTACT].T
+        contact = dict(zip(NUMBERS, numbers, strict=True)) | {"tangent": values[:, CONTACT:10]}
+        base = dict(zip(("base_x", "base_y", "base_z"), positions.T, strict=True)) | {"base_rotation": directors}
+        cosine = score = jnp.full(whiskers, jnp.nan)
+        if len(self.kinds) == 6:
+            cosine, score = perpendicular(signals.measured, signals.noise, signals.missing)
+        base |= {"force_moment": cosine, "force_moment_score": score * judgement.known}
+        return Contacts(contact, base, located.tip, ok, located.chi2, self.covariance(drive, located, ok))
+
+    def _located(self, drive: Placement, signals: tuple) -> LocatedContact:
         """Contacts of all whiskers relative to their bases, from the other fields of their SpaceObservation."""
 
         def one(section, length, mount, turning, *signals):
             base = BaseFrame(drive.rotation, mount, turning, self.own)
             observed = SpaceObservation(section, length, base, *signals, self.friction)  # pyright: ignore[reportCallIssue]
-            return locate(observed)
+            return locate(observed, CONTACT)  # pyright: ignore[reportArgumentType]
 
         return each_whisker(self.section, one, self.length, self.mount.rotation, self.turning, *signals)
 
@@ -275,13 +304,13 @@ class SpaceInstrument(NamedTuple):
 
         return jax.vmap(one)(self.mount.rotation, self.turning, reaction)
 
-    def bases(self, drive: Placement, force: Float[Array, "whiskers 3"]) -> Float[Array, "whiskers 3"]:
+    def positions(self, drive: Placement, force: Float[Array, "whiskers 3"]) -> Float[Array, "whiskers 3"]:
         """Positions of the bases under these contact forces, in the scene."""
         load = jnp.sum(drive.rotation * force[:, :, None], axis=1)  # in the frame of the drive
         place = self.mount.position + self.offset + jnp.sum(self.flexibility * load, axis=(2, 3))
         return drive.position + jnp.sum(drive.rotation * place[:, None, :], axis=2)
 
-    def covariance(self, drive: Placement, located: LocatedInSpace, known: Bool[Array, " whiskers"]) -> Array:
+    def covariance(self, drive: Placement, located: LocatedContact, known: Bool[Array, " whiskers"]) -> Array:
         """Covariance of point, arc and force, (whiskers, 7, 7), from the noise of all known whiskers."""
         own = jnp.where(known[:, None, None], located.by_channels, 0.0)
         out = jnp.eye(known.size)[:, None, :, None] * jnp.swapaxes(own, 0, 1)[None]  # (whisker, 7, whisker, channels)
@@ -291,7 +320,7 @@ class SpaceInstrument(NamedTuple):
         return jnp.einsum("kilc,kjlc->kij", out, out) + located.ambiguous
 
 
-def space_instrument(sensor: SpaceSensor, unit: Units, own: bool) -> SpaceInstrument:
+def space_instrument(sensor: SpaceSensor, unit: Units, kinds: tuple[str, ...]) -> SpaceInstrument:
     """The sensor, dimensionless."""
     whiskers, n = sensor.whiskers, len(sensor.whiskers)
     stiffness_unit = unit.moment * unit.length
@@ -309,9 +338,24 @@ def space_instrument(sensor: SpaceSensor, unit: Units, own: bool) -> SpaceInstru
         offset[:, :3],
         matrix[:, :3, :, :3],
         turning,
-        own,
+        kinds,
         sensor.friction,
     )
+
+
+def _complete(kinds: tuple[str, ...], values: Float[Array, " channels"], length: Scalar) -> Float[Array, "starts 6"]:
+    """All six reactions, from which the search for a contact starts."""
+    if len(kinds) == 6:
+        return values[None]
+    if kinds == UNTWISTED:
+        force, bending = values[:3], values[3:]
+        sine = jnp.sum(force[:2] * bending)
+        twisting = -sine * force[2] / (force[2] ** 2 + PARALLEL * jnp.sum(force**2))
+        return jnp.append(values, twisting)[None]
+    # As if the whisker were straight to where the object touches it.
+    axial, first, second = values
+    starts = [(second / at, -first / at, axial, first, second, jnp.zeros(())) for at in np.array(LEVERS) * length]
+    return jnp.stack([jnp.stack(start) for start in starts])
 
 
 def in_frame(directors: Float[Array, "3 3"], reaction: Float[Array, "6"]) -> Float[Array, "6"]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.inverse_space import BaseFrame, BaseTurning, SpaceObservation, nearest_zero
+from jaxwhisker._inverse.inverse_rod_space import BaseFrame, BaseTurning, SpaceObservation, nearest_zero
 from jaxwhisker._inverse.nearest import PhaseCandidate
 from jaxwhisker._space.section import space_section
 from random_space import Cone
