@@ -141,7 +141,7 @@ def reconstruct(
     mechanics = _mechanics_of(made)
     known = mechanics.sensor(made)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
-        check_traceable(sensor, parameters, called="sensor")
+        check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
     kinds, readings = mechanics.read(measured, sigma, known, base, slip)
     readings = jax.tree.map(jnp.asarray, readings.with_roots() if mechanics.correlated else readings)
     control = readings.control
