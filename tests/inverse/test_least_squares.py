@@ -1,15 +1,10 @@
-"""Least squares: the steps of Levenberg-Marquardt, where they end, and what is compiled for another `build`."""
+"""Least squares: the steps of Levenberg-Marquardt, and where they end."""
 
 import numpy as np
 import pytest
 
-import jaxwhisker as jw
-from jaxwhisker._base.program import Program
 from jaxwhisker._inverse.least_squares import FIT_STEPS, Evaluation, Minimum, minimise, possible_decrease
-from jaxwhisker._inverse.residuals import Comparison
-from recordings import CONTROL, TRUTH, exact, fb
 
-NOTHING = Comparison(np.zeros(0), np.zeros(0), 0, np.zeros(0))
 MINIMUM = 1e-6  # of variables of order one
 
 
@@ -35,7 +30,7 @@ def test_a_minimum_is_reached_where_another_step_would_hardly_help():
 def rosenbrock(y):
     """Residuals of Rosenbrock's function, whose minimum, zero, lies in a bent valley."""
     residual = np.array([10 * (y[1] - y[0] ** 2), 1 - y[0]])
-    return Evaluation(residual, np.array([[-20 * y[0], 10.0], [-1.0, 0.0]]), NOTHING)
+    return Evaluation(residual, np.array([[-20 * y[0], 10.0], [-1.0, 0.0]]))
 
 
 def test_steps_lead_through_a_bent_valley():
@@ -59,49 +54,14 @@ def test_a_fit_ends_where_little_can_be_gained():
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_fit_without_values_does_not_converge(wrong):
-    solution = minimise(lambda y: Evaluation(np.full(3, wrong), np.ones((3, 1)), NOTHING), np.zeros(1), 1e-6)
+    solution = minimise(lambda y: Evaluation(np.full(3, wrong), np.ones((3, 1))), np.zeros(1), 1e-6)
     assert not solution.converged and solution.steps == 1
 
 
 def test_a_step_without_a_value_is_replaced_by_shorter_ones():
     def wall(y):
-        return Evaluation(np.array([y[0] + 1 if y[0] > 0 else np.nan]), np.ones((1, 1)), NOTHING)
+        return Evaluation(np.array([y[0] + 1 if y[0] > 0 else np.nan]), np.ones((1, 1)))
 
     solution = minimise(wall, np.ones(1), 1e-6)
     assert 1 < solution.steps <= FIT_STEPS
     assert 0 < solution.y[0] < 1e-6 and np.isfinite(solution.misfit)
-
-
-def test_another_build_compiles_nothing_but_itself(monkeypatch):
-    data = exact(fb(**TRUTH))
-    jw.identify(fb, TRUTH, data, starts=0)
-    compiled = []
-    compile_one = Program._compile
-
-    def counted(self, *args):
-        compiled.append(self.__name__)
-        return compile_one(self, *args)
-
-    monkeypatch.setattr(Program, "_compile", counted)
-    monkeypatch.setenv("JAXWHISKER_CACHE", "off")
-    # Another function, one more parameter, offsets, and fewer samples.
-    fit = jw.identify(
-        lambda rest, c, q: jw.Scene(jw.Whisker(), jw.Parabola(q), jw.Support.fb(c, rest)),
-        {"rest": 0.2, **TRUTH},
-        {name: values[::2] for name, values in data.items()},
-        offsets=True,
-        starts=0,
-    )
-    assert fit.measured.control.size == CONTROL.size // 2
-    assert compiled == ["_scene_and_slopes"]
-
-
-def test_functions_without_a_hash_are_fitted():
-    class Build:
-        __hash__ = None  # pyright: ignore[reportAssignmentType]
-
-        def __call__(self, c, q):
-            return fb(c, q)
-
-    fit = jw.identify(Build(), TRUTH, exact(fb(**TRUTH)), starts=0)
-    assert fit.estimates == pytest.approx(TRUTH)

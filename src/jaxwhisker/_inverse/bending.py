@@ -224,7 +224,7 @@ class _BendingProblem(NamedTuple):
         known, rate = self.test.known, self.transforms.per_inner(x) * self.transforms.stretch(y)
         residual = (self.test.values - at.values)[known] / self.sigma[known]
         failed = (at.status != Status.ok).any()
-        return Evaluation(np.where(failed, np.nan, residual), -slopes[known] / self.sigma[known][:, None] * rate, ())
+        return Evaluation(np.where(failed, np.nan, residual), -slopes[known] / self.sigma[known][:, None] * rate)
 
 
 @Program

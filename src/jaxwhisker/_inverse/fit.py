@@ -12,11 +12,12 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.settings import in_double
 from jaxwhisker._inverse.estimates import Estimates
 from jaxwhisker._inverse.features import Features, Scatter
-from jaxwhisker._inverse.least_squares import LeastSquares, Minimum
+from jaxwhisker._inverse.least_squares import Minimum
 from jaxwhisker._inverse.observations import OWN_REACTIONS, Observations
 from jaxwhisker._inverse.parameters import Transforms
 from jaxwhisker._inverse.points import perpendicular
 from jaxwhisker._inverse.residuals import Comparison, Samples, log_density, samples_of
+from jaxwhisker._inverse.scene_fits import LeastSquares
 from jaxwhisker._inverse.statistics import CHI2_95, FitStatus, chi_squared, is_plausible
 from jaxwhisker._inverse.unknowns import Unknowns, split
 from jaxwhisker._model.assembly import AbstractScene

@@ -18,10 +18,11 @@ from jaxwhisker._inverse.estimates import estimates_of
 from jaxwhisker._inverse.features import features, neighbour_scatter
 from jaxwhisker._inverse.fit import Fit, FitProblem, FittedRecording, Recording
 from jaxwhisker._inverse.gains import gains_from
-from jaxwhisker._inverse.least_squares import COARSE, LeastSquares, Minimum
+from jaxwhisker._inverse.least_squares import Minimum
 from jaxwhisker._inverse.linearised import check_used
 from jaxwhisker._inverse.observations import Observations, read_observations
 from jaxwhisker._inverse.recording import check_recording, check_units_of_guess, without_jitter
+from jaxwhisker._inverse.scene_fits import COARSE, LeastSquares
 from jaxwhisker._inverse.statistics import noise_of_residuals
 from jaxwhisker._inverse.unknowns import unknowns_of
 from jaxwhisker._model.assembly import AbstractScene
