@@ -7,8 +7,9 @@ import pytest
 
 import jaxwhisker as jw
 from contacts import noisy, sensor, signals
-from jaxwhisker._inverse.fit_profile import FitStatus, fit_profile, points_and_rates
+from jaxwhisker._inverse.fit_profile import fit_profile, points_and_rates
 from jaxwhisker._inverse.reconstruct import reconstruct
+from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour
 
 POINT = 1e-7  # of the length

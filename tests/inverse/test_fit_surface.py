@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import binom
 
 import jaxwhisker as jw
-from jaxwhisker._inverse.fit_surface import FAMILIES, _rotation_vector, _surface, _whitening, fit_surface
+from jaxwhisker._inverse.fit_surface import FAMILIES, _rotation_vector, _surface, fit_surface
 from jaxwhisker._inverse.points import SpaceReconstruction
 
 EXACT = 1e-6  # of the length, from scans without noise
@@ -200,13 +200,6 @@ def test_the_band_has_the_normals_of_the_surface():
     for point, normal in zip(points, normals, strict=True):
         assert float(fit.surface.off(jnp.asarray(point))) == pytest.approx(0.0, abs=EXACT)
         np.testing.assert_allclose(fit.surface.normal(jnp.asarray(point)), normal, atol=EXACT)
-
-
-def test_whitened_residuals_have_unit_covariance():
-    root = np.random.default_rng(6).standard_normal((3, 3))
-    white = np.asarray(_whitening(jnp.asarray(root @ root.T)))
-    np.testing.assert_allclose(white @ root @ root.T @ white.T, np.eye(3), atol=ROUNDING)
-    assert np.all(np.triu(white, 1) == 0)
 
 
 def test_rotation_vectors():
