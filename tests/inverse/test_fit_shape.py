@@ -1,6 +1,5 @@
 """Fits of shapes to points: weights, errors and status, with circles about the origin, whose fits are exact means."""
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -26,9 +25,6 @@ RADIUS, NOISE = 0.7, 0.01
 
 class Rings(AbstractShapeFamily):
     """Circles about the origin, by the logarithm of their radius."""
-
-    names: tuple[str, ...] = eqx.field(static=True, default=("radius",))
-    unit: float = eqx.field(static=True, default=1.0)
 
     def shape(self, values):
         return jnp.exp(values[0])
@@ -71,7 +67,7 @@ def points_at(distance, sigma=None):
 
 
 def ring(distance, sigma=None, start=0.1):
-    fields, facing = fit_shape(Rings(), np.array([start]), points_at(distance, sigma))
+    fields, facing = fit_shape(Rings(("radius",), 1.0), np.array([start]), points_at(distance, sigma))
     assert facing.shape == (PADDED, 2)
     return RingFit(**fields)
 
@@ -132,13 +128,14 @@ def test_a_parameter_that_does_not_move_the_shape_is_undetermined(distance):
 
 def test_points_are_padded_without_weight(distance):
     padded = points_at(distance, NOISE).padded()
-    assert padded.position.shape == (PADDED, 2) and padded.covariance.shape == (PADDED, 2, 2)
+    assert padded.position.shape == (PADDED, 2) and padded.covariance is not None
+    assert padded.covariance.shape == (PADDED, 2, 2)
     assert padded.weight.sum() == 50 and padded.residuals == PADDED
 
 
 def test_supported_points():
     direction = np.array([[1.0, 0.0], [0.6, 0.8]])
-    points, by = supported_points(Rings(), [RADIUS], direction)
+    points, by = supported_points(Rings(("radius",), 1.0), [RADIUS], direction)
     np.testing.assert_allclose(points, RADIUS * direction)
     np.testing.assert_allclose(by, [[1.0], [1.0]])
 

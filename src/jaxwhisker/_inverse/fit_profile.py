@@ -203,16 +203,14 @@ class _ProfileFamily(AbstractShapeFamily):
     """Profiles; fitted are the position, logs of positive fields, and log_radius of a Contour."""
 
     kind: type = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)
     spline: Spline | None  # arrays, not static: one compilation serves all knots of a number
-    unit: float = eqx.field(static=True, default=1.0)
 
     @classmethod
     def of(cls, profile: AbstractProfile) -> "_ProfileFamily":
         if not isinstance(profile, Contour):
-            return cls(type(profile), FAMILIES[type(profile)], None)
+            return cls(FAMILIES[type(profile)], 1.0, type(profile), None)
         radii = (f"log_radius[{k}]" for k in range(len(profile.slopes)))
-        return cls(Contour, ("distance", "position", *radii), spline(profile.slopes))
+        return cls(("distance", "position", *radii), 1.0, Contour, spline(profile.slopes))
 
     @property
     def _logs(self) -> np.ndarray:

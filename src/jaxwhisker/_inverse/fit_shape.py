@@ -64,26 +64,26 @@ class Facet(NamedTuple):
 class Whitening(NamedTuple):
     """Weights of points: whitened = matrix @ residuals - shift."""
 
-    matrix: Float[Array, "points residuals directed+1"]
-    shift: Float[Array, "points residuals"]
+    matrix: Float[Numbers, "points residuals directed+1"]
+    shift: Float[Numbers, "points residuals"]
 
 
 class AbstractShapeFamily(eqx.Module):
     """Shapes as functions of the values to fit."""
 
-    names: eqx.AbstractVar[tuple[str, ...]]  # of the estimates
-    unit: eqx.AbstractVar[Scalar]  # a length: the unit of positions
+    names: tuple[str, ...] = eqx.field(static=True)  # of the estimates
+    unit: Scalar | np.ndarray  # a length: the unit of positions
 
     @abstractmethod
     def shape(self, values: Float[Array, " p"]) -> Any:
         """The shape with these values."""
 
     @abstractmethod
-    def facet(self, shape: Any, position: Array, covariance: Array | None) -> Facet:
+    def facet(self, shape: Any, position: Any, covariance: Any) -> Facet:
         """The shape near a point."""
 
     @abstractmethod
-    def residuals(self, shape: Any, position: Array, direction: Array) -> tuple[Scalar, Array, Array]:
+    def residuals(self, shape: Any, position: Any, direction: Any) -> tuple[Any, Any, Any]:
         """Distance of a point from the shape, difference of directions, and direction of the shape at its foot."""
 
     @abstractmethod
@@ -145,8 +145,8 @@ def fit_shape(
         """Residuals for given weights, or for those that follow from the shape."""
         given = _no_whitening(padded) if whitening is None else whitening
         residual, jacobian, *others = _linearised(family, values, padded, given, np.asarray(whitening is None))
-        rows = np.asarray(residual).ravel(), np.asarray(jacobian).reshape(-1, values.size)
-        return Evaluation(*(part / noise for part in rows), tuple(others))
+        residual, jacobian = np.asarray(residual).ravel(), np.asarray(jacobian).reshape(-1, values.size)
+        return Evaluation(residual / noise, jacobian / noise, tuple(others))
 
     at = linearised(values, None)
     for _ in range(REWEIGHTINGS):
@@ -230,7 +230,7 @@ def _inverse_root(covariance: Float[Array, "n n"]) -> Float[Array, "n n"]:
 def _no_whitening(points: ShapePoints) -> Whitening:
     """Weights that are replaced."""
     count, dimensions = points.position.shape
-    matrix = np.zeros((count, dimensions, 1 + points.direction[0].size))
+    matrix = np.zeros((count, dimensions, 1 + np.size(points.direction) // count))
     return Whitening(matrix, np.zeros((count, dimensions)))
 
 
@@ -251,7 +251,7 @@ def _whitening(family: AbstractShapeFamily, values, points: ShapePoints) -> Whit
         facet = family.facet(family.shape(values), position, covariance)
         compared, directed = facet.along.shape
         if covariance is None:
-            root = family.unit * jnp.diag(jnp.append(1.0, jnp.full(compared, facet.radius)))
+            root = jnp.multiply(family.unit, jnp.diag(jnp.append(1.0, jnp.full(compared, facet.radius))))
         else:
             root = _inverse_root(facet.by @ covariance @ facet.by.T)
         root = root if points.has_direction else root.at[1:].set(0.0)

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from jaxwhisker._base import checks
 from jaxwhisker._base.rotation import rotation_matrix
 from jaxwhisker._base.settings import with_own_settings
-from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.fit_shape import (
     SIGNIFICANCE,
     AbstractShapeFamily,
@@ -62,7 +61,8 @@ class SurfaceFit(AbstractShapeFit):
         """
         checks.rows("normals", normals, columns=3)
         directions = np.asarray(checks.unmasked(normals), dtype=float)
-        like = _SurfaceFamily(Sphere if len(self.estimates) == len(FAMILIES[Sphere]) else Ellipsoid)
+        kind = Sphere if len(self.estimates) == len(FAMILIES[Sphere]) else Ellipsoid
+        like = _SurfaceFamily(FAMILIES[kind], 1.0, kind, np.zeros(3))
         points, by = supported_points(like, list(self.estimates.values()), directions)
         return points, self._across(by)
 
@@ -82,7 +82,7 @@ def fit_surface(points: Any, family: type[AbstractSurface] | None, normals: bool
     names, count = FAMILIES[family], observed.position.shape[0]
     if observed.residuals < len(names):
         raise ValueError(f"`measured` must hold enough points for {len(names)} parameters, got {count}.")
-    fields, _ = fit_shape(_SurfaceFamily(family, middle, unit), _start(observed, family), observed)
+    fields, _ = fit_shape(_SurfaceFamily(names, unit, family, middle), _start(observed, family), observed)
     return SurfaceFit(surface=_surface(family, fields["estimates"].values()), **fields)
 
 
@@ -179,12 +179,7 @@ class _SurfaceFamily(AbstractShapeFamily):
     """
 
     kind: type = eqx.field(static=True)
-    middle: Float[np.ndarray, "3"] = eqx.field(default_factory=lambda: np.zeros(3))
-    unit: Scalar = eqx.field(default_factory=lambda: np.ones(()))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return FAMILIES[self.kind]
+    middle: Float[np.ndarray, "3"]
 
     @property
     def _parts(self) -> tuple[slice, slice, slice]:
