@@ -101,6 +101,13 @@ def test_files_are_short():
     assert not long
 
 
+def test_files_on_the_way_from_a_scan_to_the_equations_exist():
+    way = DEVELOPING.split("## From a scan to the equations")[1].split("```")[1]
+    named = re.findall(r"\b_\w+/\w+\.py", way)
+    assert named
+    assert [name for name in named if not (PACKAGE / name).exists()] == []
+
+
 def test_modules_that_the_page_names_exist():
     named = set(re.findall(r"`((?:_\w+|plot|film|thesis|cli)/\w+\.py)`", DEVELOPING))
     assert named
