@@ -134,7 +134,7 @@ def some_points(length=1.0):
     state = {"status": jnp.zeros(x.shape, int), "significance": 100 * one.at[-1].set(0.01), "covariance": covariance}
     fields = dict.fromkeys(jw.Reconstruction.__dataclass_fields__, one) | point | state | {"control": x[:, 0]}
     fields |= {"length": jnp.asarray(length)}
-    return jw.Reconstruction(**fields)
+    return jw.Reconstruction(**fields)  # pyright: ignore[reportArgumentType]
 
 
 def unpacked(reply: bytes) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -41,7 +41,7 @@ def made(**fields):
     arrays |= {"phase": jnp.array([[2], [0]]), "status": jnp.array([[0], [1]]), "control": jnp.arange(2.0)}
     arrays |= {"tangent": jnp.zeros((2, 1, 3)), "base_rotation": jnp.zeros((2, 1, 3, 3)), "length": jnp.asarray(1.0)}
     covariance = jnp.broadcast_to(jnp.asarray(MATRIX @ MATRIX.T), (2, 1, 7, 7))
-    return SpaceReconstruction(**arrays | {"covariance": covariance} | fields)
+    return SpaceReconstruction(**arrays | {"covariance": covariance} | fields)  # pyright: ignore[reportArgumentType]
 
 
 def test_vectors_and_their_errors():

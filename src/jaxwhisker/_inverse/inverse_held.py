@@ -183,9 +183,9 @@ class HeldInstrument(NamedTuple):
         values, spread, ok = located.values, located.by_channels, one.touching & located.ok
         covariance = jnp.sum(spread[:, None, :] * spread, axis=-1) + located.ambiguous
         as_measured = observed._replace(reaction=one.measured).base()
-        base = dict(zip(("base_x", "base_y", "base_angle"), jnp.where(ok, values[4:7], as_measured), strict=True))
+        base = zip(("base_x", "base_y", "base_angle"), jnp.where(ok, values[4:7], as_measured), strict=True)
         contact = dict(zip(("x", "y", "slope", "arc"), values[:4], strict=True)) | {"force": values[7]}
-        found = Contacts(contact, base, located.tip, ok, located.chi2, covariance)
+        found = Contacts(contact, {name: value for name, value in base}, located.tip, ok, located.chi2, covariance)
         return jax.tree.map(lambda leaf: leaf[None], found)
 
 

@@ -104,7 +104,7 @@ def _sufficient(observed: Observations, sensor: SpaceSensor) -> Observations:
     values, sigma = observed.values[:, :, present], observed.sigma[:, :, present]
     kinds = tuple(observed.kinds[c] for c in present)
     _check_sufficient(kinds, sensor)
-    known = np.isfinite(values).any(axis=0)
+    known = np.any(np.isfinite(values), axis=0)
     lacking = [c.name for c in channels_of(len(known), kinds) if not known[c.whisker, c.kind]]
     if lacking:
         checks.fail("measured", "values of the same channels of every whisker", f"no value of {', '.join(lacking)}")
