@@ -18,7 +18,15 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_field, as_text, name_of
 from jaxwhisker._base.rotation import about, rotation_matrix
 from jaxwhisker._base.types import Scalar, Triple
-from jaxwhisker._model.motion import AbstractMotion, Mount
+from jaxwhisker._model.motion import (
+    AbstractBounded,
+    AbstractDriveMotion,
+    AbstractMotion,
+    AbstractRotation,
+    AbstractTranslation,
+    AbstractUserDefined,
+    Mount,
+)
 
 NOWHERE = (0.0, 0.0, 0.0)
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # columns d1, d2, d3 of an upright whisker
@@ -36,35 +44,15 @@ class Placement(NamedTuple):
         return Placement(self.position + self.rotation @ inner.position, self.rotation @ inner.rotation)
 
 
-class SpaceMotion(eqx.Module):
+class SpaceMotion(AbstractDriveMotion):
     """A curve of placements of the drive in space; a scan follows it from one in which all whiskers are free."""
-
-    control_kind = "number"  # what the control is: a "length", an "angle" or a "number"
 
     @abc.abstractmethod
     def placement(self, control: Scalar) -> Placement:
         """The placement of the drive's frame in the scene at a control."""
 
-    @property
-    @abc.abstractmethod
-    def ends(self) -> tuple[Scalar, Scalar] | None:
-        """First control, at which all whiskers are free, and last control of a scan; None if both are far away."""
 
-    @property
-    @abc.abstractmethod
-    def onwards(self) -> int:
-        """+1 if the control increases during a scan, else -1."""
-
-    @abc.abstractmethod
-    def unit(self, length: Scalar) -> Scalar:
-        """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
-
-    def valid(self) -> Bool[Array, ""]:
-        """Whether traced parameters are in the domain that the constructor checks; by default, all finite numbers."""
-        return checks.all_finite(self)
-
-
-class LinearDrive(SpaceMotion):
+class LinearDrive(SpaceMotion, AbstractTranslation):
     """Translation of the drive along a line; the control is the distance from `origin`, a length, and increases.
 
     Args:
@@ -82,7 +70,6 @@ class LinearDrive(SpaceMotion):
 
     direction: Triple = eqx.field(converter=checks.as_tuple)
     origin: Triple = eqx.field(default=NOWHERE, converter=checks.as_tuple)
-    control_kind = "length"
 
     def __check_init__(self):
         _check_direction("direction", self.direction)
@@ -92,15 +79,8 @@ class LinearDrive(SpaceMotion):
         return Placement(_array(self.origin) + control * _unit(self.direction), jnp.eye(3))
 
     @property
-    def ends(self):
-        return None
-
-    @property
     def onwards(self):
         return 1
-
-    def unit(self, length):
-        return length
 
     def valid(self):
         return checks.all_finite(self) & _has_length(self.direction)
@@ -110,29 +90,7 @@ class LinearDrive(SpaceMotion):
         return f"translation along {_text(self.direction)}" + f" from {origin}" * (origin != _text(NOWHERE))
 
 
-class _Between(SpaceMotion):
-    """A motion from one control to another."""
-
-    # Its subclasses declare `start`, `stop` and `direction`, because the order of fields is that of the arguments.
-
-    def __post_init__(self: Any):
-        checks.number("start", self.start)
-        checks.number("stop", self.stop)
-        self.start, self.stop = float(self.start), float(self.stop)
-        if self.start == self.stop:
-            checks.fail("stop", "different from `start`", f"{self.stop} for both")
-        self.direction = 1 if self.stop > self.start else -1
-
-    @property
-    def ends(self: Any):
-        return self.start, self.stop
-
-    @property
-    def onwards(self: Any):
-        return self.direction
-
-
-class RotaryDrive(_Between):
+class RotaryDrive(SpaceMotion, AbstractRotation, AbstractBounded):
     """Rotation of the drive about an axis in space; the control is the angle, rad, right-handed about the axis.
 
     At the control 0, the drive's frame is that of the scene.
@@ -158,7 +116,6 @@ class RotaryDrive(_Between):
     start: Scalar = -np.pi / 2
     stop: Scalar = np.pi / 2
     direction: int = eqx.field(static=True, init=False)
-    control_kind = "angle"
 
     def __check_init__(self):
         _check_direction("axis", self.axis)
@@ -167,10 +124,6 @@ class RotaryDrive(_Between):
     def placement(self, control):
         return _about_pivot(self.pivot, rotation_matrix(control * _unit(self.axis)))
 
-    def unit(self, length):
-        del length
-        return 1.0
-
     def valid(self):
         return checks.all_finite(self) & _has_length(self.axis)
 
@@ -178,7 +131,7 @@ class RotaryDrive(_Between):
         return f"rotation about {_text(self.axis)}"
 
 
-class WhiskDrive(_Between):
+class WhiskDrive(SpaceMotion, AbstractRotation, AbstractBounded):
     """Whisking: protraction with an elevation and a roll that change with it.
 
     The control u, an angle in rad, changes the angle of protraction about z (towards -x for an upright whisker). The
@@ -220,7 +173,6 @@ class WhiskDrive(_Between):
     protraction: Scalar = eqx.field(default=0.0, kw_only=True)
     protraction_rate: Scalar = eqx.field(default=1.0, kw_only=True)
     direction: int = eqx.field(static=True, init=False)
-    control_kind = "angle"
 
     def __check_init__(self):
         for name in ("elevation", "roll", "elevation_rate", "roll_rate", "protraction", "protraction_rate"):
@@ -232,15 +184,11 @@ class WhiskDrive(_Between):
         protraction = self.protraction + self.protraction_rate * control
         return _about_pivot(self.pivot, _angles(protraction, elevation, roll))
 
-    def unit(self, length):
-        del length
-        return 1.0
-
     def __str__(self):
         return "whisking"
 
 
-class PoseDrive(_Between):
+class PoseDrive(SpaceMotion, AbstractUserDefined):
     """User-defined motion of the drive in space.
 
     Args:
@@ -261,7 +209,7 @@ class PoseDrive(_Between):
         x = 0.2
     """
 
-    function: Callable[[Any], Any] = eqx.field(converter=lambda value: _pose_function(value))
+    function: Callable[[Any], Any] = eqx.field(converter=lambda value: _placement_function(value))
     start: Scalar
     stop: Scalar
     direction: int = eqx.field(static=True, init=False)
@@ -269,16 +217,6 @@ class PoseDrive(_Between):
     def placement(self, control):
         position, turn = self.function(control)
         return Placement(_array(position), rotation_matrix(_array(turn)))
-
-    def unit(self, length):
-        del length
-        return jnp.abs(self.stop - self.start)
-
-    def valid(self):
-        return jnp.isfinite(self.start) & jnp.isfinite(self.stop)
-
-    def __str__(self):
-        return f"motion {name_of(self.function)}(u)"
 
 
 def placement_of(motion: SpaceMotion | AbstractMotion, control: Scalar) -> Placement:
@@ -299,8 +237,8 @@ def mount_in_space(mount: Mount) -> Placement:
     return Placement(_array((mount.x, mount.y, z)), _angles(mount.angle, elevation, roll) @ jnp.asarray(UPRIGHT))
 
 
-def _pose_function(value: Any) -> Any:
-    """Check a function that returns two triples, and convert it to a field."""
+def _placement_function(value: Any) -> Any:
+    """Check a function that returns a position and a rotation vector, and convert it to a field."""
 
     def flat(control):
         result = value(control)

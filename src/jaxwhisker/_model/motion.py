@@ -1,4 +1,8 @@
-"""The motion of the drive as a function of the control, and the mounts of the whiskers on the drive."""
+"""The motion of the drive as a function of the control, and the mounts of the whiskers on the drive.
+
+The abstract classes describe the control of a motion, in the plane or in space. The motions below them are those of the
+plane; `drives.py` has those in space.
+"""
 
 import abc
 from collections.abc import Callable
@@ -25,14 +29,10 @@ class Pose(NamedTuple):
     angle: Scalar
 
 
-class AbstractMotion(eqx.Module):
-    """A curve of poses of the drive; a scan follows it from a pose in which all whiskers are free."""
+class AbstractDriveMotion(eqx.Module):
+    """A curve of frames of the drive; a scan follows it from one in which all whiskers are free."""
 
     control_kind = "number"  # what the control is: a "length", an "angle" or a "number"
-
-    @abc.abstractmethod
-    def pose(self, control: Scalar) -> Pose:
-        """The pose of the drive's frame at a control."""
 
     @property
     @abc.abstractmethod
@@ -44,10 +44,6 @@ class AbstractMotion(eqx.Module):
     def onwards(self) -> int:
         """+1 if the control increases during a scan, else -1."""
 
-    def undirected(self) -> "AbstractMotion":
-        """The same poses, without a static direction where that is possible."""
-        return self
-
     @abc.abstractmethod
     def unit(self, length: Scalar) -> Scalar:
         """Unit of control of the dimensionless problem: `length`, 1 rad, or the range of a user-defined motion."""
@@ -57,10 +53,34 @@ class AbstractMotion(eqx.Module):
         return checks.all_finite(self)
 
 
-class _AbstractDirected(AbstractMotion):
-    """A motion in one of two directions."""
+class AbstractTranslation(AbstractDriveMotion):
+    """A motion whose control is a length, from far away to far away."""
 
-    # Its subclasses declare `direction`, because the order of the fields is that of their arguments.
+    control_kind = "length"
+
+    @property
+    def ends(self):
+        return None
+
+    def unit(self, length):
+        return length
+
+
+class AbstractRotation(AbstractDriveMotion):
+    """A motion whose control is an angle, rad."""
+
+    control_kind = "angle"
+
+    def unit(self, length):
+        del length
+        return 1.0
+
+
+# Subclasses of the following classes declare the fields, because the order of fields is that of the arguments.
+
+
+class AbstractDirected(AbstractDriveMotion):
+    """A motion with a static `direction`: +1 if the control increases during a scan, else -1."""
 
     def __check_init__(self: Any):
         if isinstance(self.direction, bool) or self.direction not in (-1, 1):
@@ -71,7 +91,49 @@ class _AbstractDirected(AbstractMotion):
         return self.direction
 
 
-class Translation(_AbstractDirected):
+class AbstractBounded(AbstractDirected):
+    """A motion from the control `start` to the control `stop`, of which the direction follows."""
+
+    def __post_init__(self: Any):
+        checks.number("start", self.start)
+        checks.number("stop", self.stop)
+        self.start, self.stop = float(self.start), float(self.stop)
+        if self.start == self.stop:
+            checks.fail("stop", "different from `start`", f"{self.stop} for both")
+        self.direction = 1 if self.stop > self.start else -1
+
+    @property
+    def ends(self: Any):
+        return self.start, self.stop
+
+
+class AbstractUserDefined(AbstractBounded):
+    """A bounded motion whose frames are those of a `function` of the control."""
+
+    def unit(self: Any, length):
+        del length
+        return jnp.abs(self.stop - self.start)
+
+    def valid(self: Any):
+        return jnp.isfinite(self.start) & jnp.isfinite(self.stop)
+
+    def __str__(self: Any):
+        return f"motion {name_of(self.function)}(u)"
+
+
+class AbstractMotion(AbstractDriveMotion):
+    """A curve of poses of the drive in the plane; a scan follows it from a pose in which all whiskers are free."""
+
+    @abc.abstractmethod
+    def pose(self, control: Scalar) -> Pose:
+        """The pose of the drive's frame at a control."""
+
+    def undirected(self) -> "AbstractMotion":
+        """The same poses, without a static direction where that is possible."""
+        return self
+
+
+class Translation(AbstractMotion, AbstractTranslation, AbstractDirected):
     """Translation of the drive along x; the control is its position, a length.
 
     Args:
@@ -86,27 +148,19 @@ class Translation(_AbstractDirected):
     """
 
     direction: int = eqx.field(static=True, default=-1)
-    control_kind = "length"
 
     def pose(self, control):
         control = jnp.asarray(control, dtype=float)
         return Pose(control, jnp.zeros_like(control), jnp.zeros_like(control))
 
-    @property
-    def ends(self):
-        return None
-
     def undirected(self):
         return Translation()
-
-    def unit(self, length):
-        return length
 
     def __str__(self):
         return "translation" if self.direction < 0 else "translation towards +x"
 
 
-class Rotation(_AbstractDirected):
+class Rotation(AbstractMotion, AbstractRotation, AbstractDirected):
     """Rotation of the drive about a pivot; the control is its angle to the upright, rad, positive counter-clockwise.
 
     A scan runs from a right angle on one side to a right angle on the other.
@@ -129,7 +183,6 @@ class Rotation(_AbstractDirected):
     pivot: tuple[Scalar, Scalar] = (0.0, 0.0)
     radius: Scalar = 0.0
     direction: int = eqx.field(static=True, default=1)
-    control_kind = "angle"
 
     def __check_init__(self):
         checks.pair("pivot", self.pivot)
@@ -146,15 +199,11 @@ class Rotation(_AbstractDirected):
     def undirected(self):
         return Rotation(self.pivot, self.radius)
 
-    def unit(self, length):
-        del length
-        return 1.0
-
     def __str__(self):
         return "rotation" if self.direction > 0 else "clockwise rotation"
 
 
-class Motion(_AbstractDirected):
+class Motion(AbstractMotion, AbstractUserDefined):
     """User-defined motion of the drive.
 
     Args:
@@ -174,36 +223,19 @@ class Motion(_AbstractDirected):
         x = 0.200, y = 0.027
     """
 
-    function: Callable[[Any], Any]
+    function: Callable[[Any], Any] = eqx.field(converter=lambda value: _pose_function(value))
     start: Scalar
     stop: Scalar
-    direction: int = eqx.field(static=True)
-
-    def __init__(self, function: Callable, start: float, stop: float):
-        checks.function("function", function, Pose._fields)
-        checks.number("start", start)
-        checks.number("stop", stop)
-        if float(start) == float(stop):
-            checks.fail("stop", "different from `start`", f"{float(stop)} for both")
-        self.function, self.start, self.stop = as_field(function), float(start), float(stop)
-        self.direction = 1 if float(stop) > float(start) else -1
+    direction: int = eqx.field(static=True, init=False)
 
     def pose(self, control):
         return Pose(*(jnp.asarray(value, dtype=float) for value in self.function(control)))
 
-    @property
-    def ends(self):
-        return self.start, self.stop
 
-    def unit(self, length):
-        del length
-        return jnp.abs(self.stop - self.start)
-
-    def valid(self):
-        return jnp.isfinite(self.start) & jnp.isfinite(self.stop)
-
-    def __str__(self):
-        return f"motion {name_of(self.function)}(u)"
+def _pose_function(value: Any) -> Any:
+    """Check a function that returns a pose, and convert it to a field."""
+    checks.function("function", value, Pose._fields)
+    return as_field(value)
 
 
 class Mount(eqx.Module):
