@@ -13,7 +13,8 @@ import rod_in_space
 from scipy.spatial.transform import Rotation
 
 from functions import Linear, Step
-from jaxwhisker._base.rotations import matrix, product, small_rotation, third_axis, turned
+from jaxwhisker._base.quaternions import product, small_rotation, third_axis, turned
+from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._rod import rod, space
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection
@@ -49,7 +50,7 @@ class Wave(eqx.Module):
 
 def stacked(state):
     r, q = state
-    return np.concatenate([np.ravel(r), np.ravel(matrix(q))])
+    return np.concatenate([np.ravel(r), np.ravel(matrix_of(q))])
 
 
 @eqx.filter_jit
@@ -81,7 +82,7 @@ def test_rods_agree_with_scipy(name):
     expected = rod_in_space.end(
         FORCE,
         0.9,
-        matrix(tuple(TURN)),
+        matrix_of(tuple(TURN)),
         partial(value, section.bending_stiffness),
         section.torsion_ratio or 1.0,
         lambda s: np.array([value(part, s) for part in section.curvature]),
@@ -133,7 +134,7 @@ def test_an_unloaded_rod_is_a_helix():
     axis = np.array(turned(tuple(TURN), (0.0, k, twist))) / np.hypot(k, twist)
     radius, pitch = k / (k**2 + twist**2), 2 * np.pi * twist / (k**2 + twist**2)
     turns = -1.5 * at * np.hypot(k, twist) / (2 * np.pi)
-    r, towards_axis = np.stack(r, axis=1), np.moveaxis(np.array(matrix(q)), 0, 2)[:, 0].T
+    r, towards_axis = np.stack(r, axis=1), np.moveaxis(np.array(matrix_of(q)), 0, 2)[:, 0].T
     np.testing.assert_allclose(r @ axis, turns * pitch, atol=ROUNDING)
     centres = r + radius * towards_axis
     centres -= np.outer(centres @ axis, axis)
@@ -207,13 +208,13 @@ def test_changes_are_derivatives(name):
         load = SpaceLoad(tuple(FORCE + share * force), tuple(MOMENT))
         start = tuple(share * r), turn
         r1, q = space.integrate(start, 0.9, load, section, steps=6, from_base=0.9)
-        return jnp.stack(r1), matrix(q)
+        return jnp.stack(r1), matrix_of(q)
 
     (_, turned), (expected, slope) = jax.jit(lambda: jax.jvp(moved, (0.0,), (1.0,)))()
     two = jax.tree.map(lambda x: jnp.array([x, 0.0]), ((tuple(r), tuple(w)), SpaceLoad(tuple(force))))
     start, load = (ORIGIN, tuple(TURN)), SpaceLoad(tuple(FORCE), tuple(MOMENT))
     end, (by_r, by_w) = space.with_changes(start, two, 0.9, load, section, steps=6, from_base=0.9)
-    np.testing.assert_allclose(matrix(end[1]), turned, atol=ROUNDING)
+    np.testing.assert_allclose(matrix_of(end[1]), turned, atol=ROUNDING)
     np.testing.assert_allclose(np.stack(by_r, axis=1), [expected, np.zeros(3)], atol=ROUNDING)
     spin = np.array(slope @ turned.T)
     np.testing.assert_allclose(np.stack(by_w, axis=1)[0], [spin[2, 1], spin[0, 2], spin[1, 0]], atol=ROUNDING)

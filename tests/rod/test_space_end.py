@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from functions import Linear, Step
-from jaxwhisker._base.rotations import matrix
+from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.space import SpaceSection
 from jaxwhisker._rod.space_end import contact_rotation, space_rod_end
@@ -75,7 +75,7 @@ def test_the_frame_of_the_contact():
     tangent = np.array([np.cos(chi), 0.0, -np.sin(chi)])
     b = np.array([0.0, 1.0, 0.0])
     first = np.cos(gamma) * np.cross(b, tangent) + np.sin(gamma) * b
-    got = matrix(contact_rotation(chi, gamma))
+    got = matrix_of(contact_rotation(chi, gamma))
     np.testing.assert_allclose(got, np.stack([first, np.cross(tangent, first), tangent], axis=1), atol=ROUNDING)
 
 
@@ -85,7 +85,7 @@ def test_the_end_of_a_rod_in_a_plane():
     x, y, cos, sin = Shooting(steps=64).end(*map(jnp.asarray, (force, arc, chi)))
     got = space_rod_end(force, arc, chi, 0.7, SpaceSection(1.0), 64, 64)
     np.testing.assert_allclose(got[:3], [x, 0.0, -y], atol=PLANE)
-    np.testing.assert_allclose(matrix(tuple(got[3:]))[:, 2], [cos, 0.0, -sin], atol=PLANE)
+    np.testing.assert_allclose(matrix_of(tuple(got[3:]))[:, 2], [cos, 0.0, -sin], atol=PLANE)
 
 
 @pytest.mark.parametrize("build", SECTIONS)

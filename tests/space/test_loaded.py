@@ -7,7 +7,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base.quadrature import gauss, legendre_integrals
-from jaxwhisker._base.rotations import inverse_rotation, product, small_rotation, third_axis, times, turned
+from jaxwhisker._base.quaternions import inverse_rotation, product, small_rotation, third_axis, times, turned
 from jaxwhisker._model.loads import SpaceForce
 from jaxwhisker._rod.space import SpaceSection
 from jaxwhisker._space import loaded

@@ -1,11 +1,12 @@
-"""Rotations in space: matrices, rotation vectors and quaternions.
+"""Rotations in space as matrices: from and to rotation vectors and quaternions.
 
 A rotation vector has the direction of the axis and the length of the angle (rad, right-handed). A quaternion has its
-scalar part first and the length 1. All functions have derivatives of any order where they are smooth, at a rotation by
-zero as well.
+scalar part first and the length 1; `quaternions.py` computes with quaternions. All functions have derivatives of any
+order where they are smooth, at a rotation by zero as well.
 """
 
 import math
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -17,11 +18,11 @@ NEAR = 1.0  # square of the angle (rad) below which they are used
 ARC_TERMS, ARC_NEAR = 16, 0.05  # the same for the arc tangent, and the square of its argument
 
 
-def cross_matrix(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def cross_matrix(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """The matrix whose product with another vector is the cross product `vector` x other."""
-    x, y, z = vector
+    x, y, z = (vector[..., k] for k in range(3))
     none = jnp.zeros_like(x)
-    return jnp.stack([none, -z, y, z, none, -x, -y, x, none]).reshape(3, 3)
+    return jnp.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1).reshape(*x.shape, 3, 3)
 
 
 def about(axis: int, angle: Scalar) -> Float[Array, "3 3"]:
@@ -77,11 +78,12 @@ def quaternion_of(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
     return row / (jnp.where(row[0] < 0, -2.0, 2.0) * jnp.sqrt(row[largest]))
 
 
-def matrix_of(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """The rotation of a unit quaternion; both signs of it give the same."""
-    w, *direction = quaternion
-    axis = jnp.stack(direction)
-    return (w**2 - jnp.sum(axis**2)) * jnp.eye(3) + 2 * w * cross_matrix(axis) + 2 * axis[:, None] * axis
+def matrix_of(quaternion: Float[Array, "4"] | tuple[Any, Any, Any, Any]) -> Float[Array, "*batch 3 3"]:
+    """The rotation of a unit quaternion, whose four parts are numbers or equal arrays; both signs give the same."""
+    w, *direction = map(jnp.asarray, quaternion)
+    axis = jnp.stack(direction, axis=-1)
+    straight, w = (part[..., None, None] for part in (w**2 - jnp.sum(axis**2, axis=-1), w))
+    return straight * jnp.eye(3) + 2 * w * cross_matrix(axis) + 2 * axis[..., :, None] * axis[..., None, :]
 
 
 def _coefficients(vector: Float[Array, "3"]) -> tuple[Scalar, Scalar, Scalar]:

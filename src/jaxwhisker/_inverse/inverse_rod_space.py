@@ -19,7 +19,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.rotation import left_jacobian, matrix_of, rotation_matrix
-from jaxwhisker._base.rotations import matrix
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import stacked_or_each
 from jaxwhisker._inverse.inverse_rod import LARGEST_ANGLE, POINTED, START, each_whisker
@@ -195,7 +194,7 @@ class SpaceObservation(eqx.Module):
         at = jnp.linspace(0.0, 1.0, INTERVALS + 1)
         r, q = points(start, -self.length, load, self.section, at=at, from_base=zero)
         place, end = nearest_zero(about + jnp.cross(force, jnp.stack(r, axis=-1)))
-        first, _, tangent = jax.tree.map(lambda leaf: leaf[end], matrix(q)).T
+        first, _, tangent = jax.tree.map(lambda leaf: leaf[end], matrix_of(q)).T
         size = jnp.sqrt(jnp.sum(force**2))
         out = force / size
         chi = jnp.arcsin(jnp.clip(-jnp.sum(tangent * out), -1.0, 1.0))

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.rotations import (
+from jaxwhisker._base.quaternions import (
     NONE,
     Pivot,
     Quaternion,

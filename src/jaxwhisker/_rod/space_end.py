@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxwhisker._base.rotations import Quaternion, opposite, product, third_axis, times, total, turned
+from jaxwhisker._base.quaternions import Quaternion, opposite, product, third_axis, times, total, turned
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.space import Change, SpaceLoad, SpaceSection, SpaceState, curvature, integrate, with_changes
 

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.quaternions import Vector
 from jaxwhisker._base.rotation import quaternion_of
-from jaxwhisker._base.rotations import Vector
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.space_scene import SpaceScene

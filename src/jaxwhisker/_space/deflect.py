@@ -11,7 +11,7 @@ from jaxwhisker._base.implicit import solution_of
 from jaxwhisker._base.leaves import safe_placeholder
 from jaxwhisker._base.load_path import follow
 from jaxwhisker._base.program import Program
-from jaxwhisker._base.rotations import matrix
+from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -115,6 +115,6 @@ def _shape(rods: LoadedInSpace, top: Array, whisker: Whisker, points: int) -> di
         **dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), reaction, strict=True)),
         "s": s * length,
         **dict(zip(("x", "y", "z"), place, strict=True)),
-        "rotation": matrix(states[1]),
+        "rotation": matrix_of(states[1]),
         "curvature": along / length,
     }

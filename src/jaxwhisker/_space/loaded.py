@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import positive_definite
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
-from jaxwhisker._base.rotations import (
+from jaxwhisker._base.quaternions import (
     Quaternion,
     Vector,
     cross,

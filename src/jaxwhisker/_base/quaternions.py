@@ -1,15 +1,12 @@
-"""Vectors and rotations in space, as tuples of numbers or of equal arrays, whose absent parts are None.
+"""Vectors and quaternions as tuples of numbers or of equal arrays, whose absent parts are None.
 
-Absent parts cost nothing: their operations are left out when a program is traced. Rotations are unit quaternions, the
-real part first.
+Absent parts cost nothing: their operations are left out when a program is traced. Quaternions are those of rotations:
+the scalar part is first, and the length is 1. `rotation.matrix_of` makes a matrix of one.
 """
 
 from functools import reduce
 from operator import add
 from typing import Any, NamedTuple, TypeAlias
-
-import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 Part: TypeAlias = Any  # a number or an array; None if it is zero
 Vector: TypeAlias = tuple[Part, Part, Part]
@@ -73,17 +70,6 @@ def third_axis(q: Quaternion) -> Vector:
     """The third column of the rotation matrix."""
     w, x, y, z = q
     return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-
-
-def matrix(q: Quaternion) -> Float[Array, "*batch 3 3"]:
-    """The rotation matrix of a quaternion without absent parts."""
-    w, x, y, z = q
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def small_rotation(a: Vector) -> Quaternion:
