@@ -21,9 +21,9 @@ from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Splitting
 from jaxwhisker._scan.energy import stored_energy
-from jaxwhisker._scan.result import Event, Events, Result
+from jaxwhisker._scan.result import Event, Events, Result, SpaceResult
 from jaxwhisker._scan.scan import scan
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import SpaceState, State
 
 if TYPE_CHECKING:
     from jaxwhisker._base.columns import read_columns
@@ -54,9 +54,7 @@ if TYPE_CHECKING:
     from jaxwhisker._scan.deflect import Deflection, deflect
     from jaxwhisker._scan.export import to_csv, to_dataframe
     from jaxwhisker._scan.lateral import LateralStability, lateral_loss, lateral_stability
-    from jaxwhisker._scan.shapes import Shapes, shapes
-    from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-    from jaxwhisker._scan.space_shapes import SpaceShapes
+    from jaxwhisker._scan.shapes import Shapes, SpaceShapes, shapes
     from jaxwhisker._space.deflect import SpaceDeflection
     from jaxwhisker._study.critical import critical_stiffness
     from jaxwhisker._study.study import study
@@ -199,9 +197,7 @@ _LATER = {
     "_scan.deflect": ("Deflection", "deflect"),
     "_scan.export": ("to_csv", "to_dataframe"),
     "_scan.lateral": ("LateralStability", "lateral_loss", "lateral_stability"),
-    "_scan.shapes": ("Shapes", "shapes"),
-    "_scan.space_result": ("SpaceResult", "SpaceState"),
-    "_scan.space_shapes": ("SpaceShapes",),
+    "_scan.shapes": ("Shapes", "SpaceShapes", "shapes"),
     "_space.deflect": ("SpaceDeflection",),
     "_study.critical": ("critical_stiffness",),
     "_study.study": ("study",),

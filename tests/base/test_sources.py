@@ -134,7 +134,7 @@ def test_only_imports_that_a_named_definition_uses_count():
 
 
 def test_imports_for_types_only_do_not_count():
-    assert "jaxwhisker._scan.space_result" not in sources._imports("jaxwhisker._scan.scan")
+    assert "jaxwhisker._model.space_scene" not in sources._imports("jaxwhisker._scan.result")
 
 
 def test_threads_parse_one_after_the_other(monkeypatch):

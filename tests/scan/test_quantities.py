@@ -25,9 +25,8 @@ from jaxwhisker._scan.quantities import (
     unit_in_words,
     with_prefix,
 )
-from jaxwhisker._scan.result import Result
-from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-from jaxwhisker._scan.state import IN_SPACE, State
+from jaxwhisker._scan.result import Result, SpaceResult
+from jaxwhisker._scan.state import IN_SPACE, SpaceState, State
 
 ROUNDING = 1e-14
 

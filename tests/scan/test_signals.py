@@ -10,7 +10,7 @@ from exact_contacts import contacts, fbfb_at
 from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._scan.signals import signals
+from jaxwhisker._scan.signals import beyond_phase, signals
 from jaxwhisker._scan.state import OPTIONAL
 
 EXACT = 1e-10  # closed forms against closed forms; their moduli are found by bisection
@@ -129,3 +129,9 @@ def test_the_object_only_pushes():
     )
     assert pushing < 0.9 * force
     assert pulling == force
+
+
+def test_the_slack_has_the_sign_of_its_phase():
+    phase = np.array([Phase.tip, Phase.tip, Phase.tangential, Phase.tangential, Phase.tip])
+    force, slack = np.array([1.0, 1.0, 1.0, 1.0, -0.3]), np.array([-0.1, 0.1, 0.1, -0.2, -0.4])
+    np.testing.assert_allclose(beyond_phase(phase, force, slack), [-0.1, 0.1, -0.1, 0.2, 0.3])

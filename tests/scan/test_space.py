@@ -1,8 +1,9 @@
-"""Steps of a scan in space: between the nodes of the path, at its events, and beyond its end."""
+"""Steps of a scan in space: between the nodes of the path, at its events, and beyond its end; their signals."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.contact import Phase
@@ -14,7 +15,16 @@ from jaxwhisker._scan.steps import interpolate
 
 PREDICTED = 1e-3  # by the path between its nodes
 EXACT = 1e-10
+SOLVED = 1e-8  # reactions of solved steps
+CENTRE = 0.0, 1.3, 0.2
 STOPS = np.array([1.0, -0.9])
+
+
+@pytest.fixture(scope="module")
+def result():
+    """A scan of a clamped whisker past a sphere."""
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, CENTRE), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
+    return jw.scan(scene, np.linspace(-1.2, 1.2, 49))
 
 
 def problem_and_path():
@@ -58,3 +68,24 @@ def test_steps_beyond_the_end_of_a_path_have_its_status():
     found = solve(problem, cut, [u[10], u[11] - 0.01])
     assert list(found.status) == [Status.ok, Status.lost]
     assert found.state[1, 0] == Phase.free
+
+
+def test_reactions_balance_the_contact_force_at_the_contact(result):
+    point = np.stack([result.contact_x, result.contact_y, result.contact_z], axis=-1)
+    base = np.stack([result.base_x, result.base_y, result.base_z], axis=-1)
+    touching = np.asarray(result.phase) > 0
+    out = (point - CENTRE)[touching]
+    np.testing.assert_allclose(np.linalg.norm(out, axis=-1), 1.0, atol=SOLVED)
+    push = np.asarray(result.contact_force)[touching][:, None] * out
+    np.testing.assert_allclose(np.asarray(result.force)[touching], -push, atol=SOLVED)
+    np.testing.assert_allclose(
+        np.asarray(result.moment)[touching], -np.cross((point - base)[touching], push), atol=SOLVED
+    )
+    assert np.all(np.asarray(result.force)[~touching] == 0)
+
+
+def test_in_the_frame_of_the_whisker_a_straight_one_has_no_twisting_moment(result):
+    np.testing.assert_allclose(np.asarray(result.own_moment)[..., 2], 0.0, atol=SOLVED)
+    np.testing.assert_allclose(
+        np.sum(np.asarray(result.own_force) ** 2, axis=-1), np.sum(np.asarray(result.force) ** 2, axis=-1), atol=SOLVED
+    )

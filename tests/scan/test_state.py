@@ -9,7 +9,8 @@ import numpy as np
 import jaxwhisker as jw
 from handmade import SI, handmade_scan
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._scan.state import OPTIONAL, State, base_of, material, state_of
+from jaxwhisker._scan.channels import example_of
+from jaxwhisker._scan.state import OPTIONAL, SpaceState, State, base_of, material, state_of
 from scenes import cone
 
 
@@ -22,6 +23,15 @@ def test_the_state_of_a_result_has_nothing_else():
             assert getattr(state, name) is None
         else:
             np.testing.assert_array_equal(getattr(state, name), getattr(result, name))
+
+
+def test_the_state_of_a_result_in_space_has_nothing_else():
+    scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)))
+    result = example_of(scene)
+    state = state_of(result)
+    assert type(state) is SpaceState
+    for name in SpaceState.__dataclass_fields__:
+        assert np.shape(getattr(state, name)) == np.shape(getattr(result, name))
 
 
 def test_poses_of_bases():

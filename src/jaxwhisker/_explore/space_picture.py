@@ -8,8 +8,8 @@ from jaxtyping import Float
 from jaxwhisker._explore.picture import PAGE_LINE_POINTS, SCAN_STEPS
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE, UnitSystem, quantity
+from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker._scan.scan import scan_across
-from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker.plot.body import Body
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.space import DIRECTOR, NAME_PLACES, SpaceDrawing, drawings, surroundings

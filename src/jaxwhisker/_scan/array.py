@@ -28,8 +28,8 @@ from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, Shooting
 from jaxwhisker._scan.array_results import array_dataset, touch_table
+from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker._scan.scan import scan
-from jaxwhisker._scan.space_result import SpaceResult
 
 if TYPE_CHECKING:
     import pandas as pd

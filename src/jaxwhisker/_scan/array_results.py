@@ -9,8 +9,7 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import first_failure, points_in_words, scan_dataset
-from jaxwhisker._scan.result import arrays_of
-from jaxwhisker._scan.space_result import SpaceResult
+from jaxwhisker._scan.result import SpaceResult, arrays_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,7 +14,7 @@ from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.scan import mechanics_of
-from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, State
+from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, SpaceState, State
 
 EXAMPLE_STEPS = 2  # with which a function is tried before it is compiled
 
@@ -80,8 +80,6 @@ def example_of(scene: AbstractScene) -> AbstractResult:
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
-    from jaxwhisker._scan.space_result import SpaceState
-
     fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))

@@ -1,4 +1,4 @@
-"""Results of a scan: states at the positions of the control, and events."""
+"""Results of a scan, in the plane and in space: states at the positions of the control, and events."""
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,10 +16,12 @@ from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted, scan_dataset
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.quantities import ENERGIES, QUANTITIES
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import SpaceState, State
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from jaxwhisker._model.space_scene import SpaceScene  # which scans in the plane do not load
 
 
 class Event(NamedTuple):
@@ -102,6 +104,13 @@ class Events(eqx.Module):
         return [e for e in self if e.kind == kind and (whisker is None or whisker in e.whiskers)]
 
 
+class SpaceEvents(Events):
+    """The events of a scan in space in order: arrays of fixed size, of which the first `count` are filled."""
+
+    before: SpaceState  # fields (events, whiskers)
+    after: SpaceState
+
+
 class AbstractResult(eqx.Module):
     """What results of scans in the plane and in space have in common."""
 
@@ -152,6 +161,19 @@ class Result(AbstractResult, State):
     status: Int[Array, " steps"]  # Status.ok, or the reason for failure
     deferred_events: Deferred = eqx.field(converter=deferred)
     scene: Scene
+
+
+class SpaceResult(AbstractResult, SpaceState):
+    """A scan in space: the states at all steps, with shape (steps, whiskers), and the events.
+
+    A step whose status is not `Status.ok` holds NaN; its phase is `free`.
+    """
+
+    control: Float[Array, " steps"]  # drive position: a length, an angle in rad or a number, depending on the motion
+    spring_length: Float[Array, "steps springs"]  # of torsion springs, angles, rad; in the frame of the drive
+    status: Int[Array, " steps"]  # Status.ok, or the reason for failure
+    deferred_events: Deferred = eqx.field(converter=deferred)
+    scene: "SpaceScene"
 
 
 def check_one_scan(result: Any) -> Result:

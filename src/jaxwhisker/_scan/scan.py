@@ -25,7 +25,7 @@ from jaxwhisker._path.path import ScanPath, Status, room_for
 from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory
 from jaxwhisker._scan.plane import Plane
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.result import Result, SpaceResult
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
     Route,
@@ -40,13 +40,12 @@ from jaxwhisker._scan.slopes import events_now, solved_states_now
 
 if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
-    from jaxwhisker._scan.space_result import SpaceResult
 
 
 @overload
 def scan(scene: Scene, control: Control | None = None) -> Result: ...
 @overload
-def scan(scene: "SpaceScene", control: Control | None = None) -> "SpaceResult": ...
+def scan(scene: "SpaceScene", control: Control | None = None) -> SpaceResult: ...
 @with_own_settings
 def scan(scene: Any, control: Control | None = None) -> Any:
     """Scan the object quasi-statically with the drive at every position of `control`.

@@ -1,4 +1,4 @@
-"""Shapes: the whiskers' centre lines at steps of a scan."""
+"""Shapes: the whiskers' centre lines at steps of a scan, in the plane and in space."""
 
 from typing import TYPE_CHECKING, Any, overload
 
@@ -6,24 +6,27 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.quaternions import Vector
+from jaxwhisker._base.rotation import quaternion_of
 from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._rod import rod
-from jaxwhisker._scan.result import AbstractResult, Result, check_not_batched
+from jaxwhisker._rod import rod, space
+from jaxwhisker._scan.result import AbstractResult, Result, SpaceResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
-from jaxwhisker._scan.state import State, base_of, material, state_of
+from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
+from jaxwhisker._space.section import space_section
 
 if TYPE_CHECKING:
-    from jaxwhisker._scan.space_result import SpaceResult
-    from jaxwhisker._scan.space_shapes import SpaceShapes
+    from jaxwhisker._model.space_scene import SpaceScene
+
+PADDING = 64  # states are padded to a multiple of this, because figures and films then share a compiled program
 
 
 class Shapes(eqx.Module):
@@ -36,10 +39,22 @@ class Shapes(eqx.Module):
     y: Float[Array, "*at whiskers points"]
 
 
+class SpaceShapes(eqx.Module):
+    """Centre lines of whiskers in space: along the last axis, points from base to contact, then to the tip.
+
+    Two thirds of the points lie between base and contact, and the others beyond; both parts are equidistant. All points
+    of a free whisker are. Steps that failed are NaN.
+    """
+
+    x: Float[Array, "*at whiskers points"]  # a length
+    y: Float[Array, "*at whiskers points"]
+    z: Float[Array, "*at whiskers points"]
+
+
 @overload
 def shapes(result: Result, at: Control | None = None, *, points: int = 64) -> Shapes: ...
 @overload
-def shapes(result: "SpaceResult", at: Control | None = None, *, points: int = 64) -> "SpaceShapes": ...
+def shapes(result: SpaceResult, at: Control | None = None, *, points: int = 64) -> SpaceShapes: ...
 @in_double
 def shapes(result: Any, at: Control | None = None, *, points: int = 64) -> Any:
     """Centre lines of all whiskers at the scan steps nearest to given drive positions.
@@ -67,68 +82,99 @@ def shapes(result: Any, at: Control | None = None, *, points: int = 64) -> Any:
         checks.vector("at", at)
         checks.within("at", at, result.control, "drive positions of the scan")
         index = np.argmin(np.abs(np.asarray(result.control)[:, None] - np.asarray(at)), axis=0)
-    in_space = result.scene.in_space
-    if in_space:
-        from jaxwhisker._scan.space_shapes import shapes_in_space, space_state_of
-    state = space_state_of(result) if in_space else state_of(result)
+    state = state_of(result)
     if checks.is_traced(state):
         state = jax.tree.map(lambda values: values[index], state)
     else:  # NumPy compiles nothing for a new shape
-        state = jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), state)
-    if in_space:
-        return shapes_in_space(result.scene, state, count=points)
+        state = jax.tree.map(lambda values: np.asarray(values)[index], state)
     control = result.control[index] if checks.is_traced(result.control) else np.asarray(result.control)[index]
     return shapes_of(result.scene, state, control, points=points)
 
 
-def shapes_of(scene: Scene, state: State, control: Any, *, points: int) -> Shapes:
-    """Centre lines of whiskers in a state at a control, or in several states of this scene."""
-    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, holds(scene)))
-    return _shapes_of(state, whiskers, by, None if by is None else jnp.asarray(control, dtype=float), points=points)
+@overload
+def shapes_of(scene: Scene, state: State, control: Any, *, points: int) -> Shapes: ...
+@overload
+def shapes_of(scene: "SpaceScene", state: SpaceState, control: Any, *, points: int) -> SpaceShapes: ...
+def shapes_of(scene: Any, state: Any, control: Any, *, points: int) -> Any:
+    """Centre lines of whiskers in a state at a control, or in several states of this scene at several controls.
+
+    They have derivatives with respect to the states and the whiskers.
+    """
+    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, None if scene.in_space else holds(scene)))
+    state, control = state_of(state), None if by is None else checks.as_float(control)
+    if checks.is_traced((state, control, whiskers, by)):
+        return _shapes_of(state, whiskers, by, control, points=points)
+    one = np.ndim(state.phase) == 1
+    rows = jax.tree.map(lambda leaf: np.asarray(leaf)[None] if one else np.asarray(leaf), (state, control))
+    steps = rows[0].phase.shape[0]
+
+    def padded(leaf):
+        return jax.device_put(np.pad(leaf, [(0, -steps % PADDING), *[(0, 0)] * (leaf.ndim - 1)]))
+
+    rows, control = jax.tree.map(padded, rows)
+    lines = _shapes_of(rows, whiskers, by, control, points=points)
+    return jax.tree.map(lambda line: jax.device_put(np.asarray(line)[0 if one else slice(steps)]), lines)
 
 
 @Program
 def _shapes_of(
-    state: State,
+    state: State | SpaceState,
     whiskers: tuple[Whisker, ...],
     by: Holds | None,
     control: Float[Array, "*steps"] | None,
     *,
     points: int,
-) -> Shapes:
-    def lines(state: State, control: Scalar | None) -> list[tuple[rod.Along, rod.Along]]:
+) -> Shapes | SpaceShapes:
+    in_space = isinstance(state, SpaceState)
+
+    def lines(state: Any, control: Scalar | None) -> list[tuple[Array, ...]]:
         each: list[Held | None] = [None] * len(whiskers)
         if by is not None and control is not None:
             each = [*held(by, whiskers, control, state.shaft_loads)[0]]
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             at = jax.tree.map(lambda field, k=k: field[k], state)
-            reaction, free = (at.fx, at.fy, at.mz), at.phase == Phase.free
-            found.append(_line(whisker, points, base_of(at), reaction, at.contact_arc, free, own))
+            found.append(_line_in_space(whisker, points, at) if in_space else _line(whisker, points, at, own))
         return found
 
     for _ in range(state.base_x.ndim - 1):
         lines = jax.vmap(lines, in_axes=(0, None if by is None else 0))
-    x, y = (jnp.stack(coordinates, axis=-2) for coordinates in zip(*lines(state, control), strict=True))
-    return Shapes(x, y)
+    coordinates = [jnp.stack(each, axis=-2) for each in zip(*lines(state, control), strict=True)]
+    return SpaceShapes(*coordinates) if in_space else Shapes(*coordinates)
 
 
-def _line(
-    whisker: Whisker,
-    points: int,
-    base: Pose,
-    reaction: tuple[Scalar, Scalar, Scalar],
-    arc: Scalar,
-    free: Bool[Array, ""],
-    held: Held | None,
-) -> tuple[rod.Along, rod.Along]:
+def _line(whisker: Whisker, points: int, at: State, held: Held | None) -> tuple[rod.Along, rod.Along]:
     """x and y of one whisker from base to tip."""
-    arc = jnp.where(free, whisker.length, arc)
+    arc, reaction = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc), (at.fx, at.fy, at.mz)
     loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
-    x, y, cos, sin = outwards(whisker, base, reaction, arc, held, count=loaded)
+    x, y, cos, sin = outwards(whisker, base_of(at), reaction, arc, held, count=loaded)
     # Beyond the contact the whisker is unloaded. If it is straight there, one more point suffices.
     end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
     tip_x, tip_y, _, _ = rod.points(
         end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
     )
     return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
+
+
+def _line_in_space(whisker: Whisker, count: int, at: SpaceState) -> tuple[Array, ...]:
+    """x, y and z of one whisker, integrated from its base: the reaction there is opposite to the object's force."""
+    section, zero = space_section(whisker, 1.0, 1.0), jnp.zeros_like(at.base_x)
+    contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
+    base = jnp.stack([at.base_x, at.base_y, at.base_z])
+    w, x, y, z = quaternion_of(at.base_rotation)
+    loaded = count - count // 3
+    arc = jnp.where(at.phase == Phase.free, whisker.length * (loaded - 1) / (count - 1), at.contact_arc)
+
+    def onwards(start: Any, length: Scalar, force: Vector, intervals: int, from_base: Scalar) -> Any:
+        places = np.linspace(0.0, 1.0, intervals + 1)
+        return space.points(
+            start, -length, space.SpaceLoad(force), section, at=jnp.asarray(places), from_base=from_base
+        )
+
+    # Positions are relative to the contact, about which the force has no moment.
+    start = tuple(base - contact), (w, x, y, z)
+    first = onwards(start, arc, (-at.fx, -at.fy, -at.fz), loaded - 1, zero)
+    end = jax.tree.map(lambda leaf: leaf[-1], first)
+    rest = onwards(end, whisker.length - arc, (zero, zero, zero), count - loaded, arc)
+    line = contact + jnp.concatenate([jnp.stack(first[0], axis=-1), jnp.stack(rest[0], axis=-1)[1:]])
+    return tuple(line.T)

@@ -61,9 +61,7 @@ def _residual(
     apart = pose - jnp.concatenate([wanted, jnp.zeros((touching.size, 3 - problem.axes))], axis=1)
     apart = apart.at[:, 0].divide(1 + jnp.abs(u))
     equalities = [*apart.T, *problem.further_residuals(base, here)]
-    # Complementarity: the object only pushes, and the slack has the sign of its phase.
-    excess = jnp.where(state.phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
-    inequalities = [-z[:, FORCE], excess]
+    inequalities = [beyond_phase(state.phase, z[:, FORCE], z[:, SLACK])]
     leans = lean(z[:, LEAN], state.friction, problem.friction_angle)
     if leans is not None and problem.friction_angle is not None:
         # The lean of a small force is not known to the same accuracy.
@@ -73,6 +71,11 @@ def _residual(
         return problem.if_defined(jnp.maximum(jnp.max(equal), jnp.max(jnp.where(touching, excess, 0.0))), here)
     residuals = jnp.where(touching, jnp.concatenate([equal, excess]), 0.0)
     return problem.if_defined(jnp.max(residuals), here)
+
+
+def beyond_phase(phase: PerWhisker, force: PerWhisker, slack: PerWhisker) -> PerWhisker:
+    """How far contacts are beyond their phase: the object only pushes, and the slack has the sign of its phase."""
+    return jnp.maximum(-force, jnp.where(phase == Phase.tip, slack, -slack))
 
 
 def _state(

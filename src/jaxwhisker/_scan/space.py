@@ -1,12 +1,13 @@
-"""The mechanics of scans in space."""
+"""The mechanics of scans in space, with the signals of an equilibrium."""
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
@@ -18,18 +19,23 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._path.march import follow, sweeps_of
 from jaxwhisker._path.path import STOP, Node, Path, ScanPath, Status
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
+from jaxwhisker._scan.result import SpaceEvents, SpaceResult
+from jaxwhisker._scan.signals import beyond_phase
 from jaxwhisker._scan.slopes import memory_now
-from jaxwhisker._scan.space_result import SpaceEvents, SpaceResult
-from jaxwhisker._scan.space_signals import event_room, sides_of_events, signals, solved, with_turns
+from jaxwhisker._scan.state import SpaceState
 from jaxwhisker._scan.steps import interpolate, is_near
-from jaxwhisker._space.contact import ROLL
+from jaxwhisker._space.contact import FORCE, POINT, ROLL, SLACK, TRACTION, SpaceBase, angle_and_arc
 from jaxwhisker._space.friction import continuation_of
 from jaxwhisker._space.history import Followed, LinkedNodes, contacts_within, interpolated, linked, stages_before
+from jaxwhisker._space.implicit import sides_of_events, solved, with_turns
 from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
-from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, problem_in_space
+from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, of_each, problem_in_space
+from jaxwhisker._space.residuals import residuals
 from jaxwhisker._space.shape import touches_twice
 from jaxwhisker._space.slip import SlipMode, following
+from jaxwhisker._space.stance import base_placement
 
+EVENTS = 32  # events of one whisker that a scan has room for
 BLOCK = 256  # steps computed by one call; each takes longer than in the plane
 LANES = 16  # of a batch that run together: a block takes as long as its slowest lane
 WIND_UP = 300.0  # turn of a base by the roll at the contact: a rod that magnifies errors more is `inexact`
@@ -67,7 +73,6 @@ class Space(Mechanics):
     most_numbers = 96  # a curved whisker on springs past a quadric has 82
     block, result, events = BLOCK, SpaceResult, SpaceEvents
     problem = staticmethod(problem_now)
-    event_room = staticmethod(event_room)
 
     @staticmethod
     def check(scene: SpaceScene, problem: SpaceProblem) -> None:
@@ -160,12 +165,16 @@ class Space(Mechanics):
         return signals(problem, *side)
 
     @staticmethod
+    def event_room(whiskers: int) -> int:
+        return EVENTS * whiskers
+
+    @staticmethod
     def event_nodes(path: Path) -> Node:
         return with_turns(path)
 
     @staticmethod
     def at_events(problem, path, memory, at, filled) -> EventSides:
-        return sides_of_events(problem, path, memory, at, filled)
+        return EventSides(*sides_of_events(problem, path, memory, at, filled))
 
     @staticmethod
     def event_controls(problem, path, memory, at, filled):
@@ -236,3 +245,71 @@ def check_thickness(scene: SpaceScene) -> None:
             f"`surface` must be thicker than about {2 * THINNEST:.0e} of a whisker's length ({length:g}), got "
             f"{scene.surface}."
         )
+
+
+class SpaceSignals(NamedTuple):
+    """An equilibrium in the scene's units, and its largest residual."""
+
+    state: SpaceState
+    residual: Scalar
+    displacement: Float[Array, "whiskers 6"] | None  # of the bases relative to their mounts; None if they are clamped
+
+
+def signals(
+    problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, slips: Bool[Array, " whiskers"] | None = None
+) -> SpaceSignals:
+    """State of an equilibrium, and what is known besides; with friction, `slips` tells which contacts slip."""
+    unit, touching = problem.unit, phase != Phase.free
+    drive = problem.drive(u)
+    residual, pose, base = residuals(problem, z, u, phase, z)
+    placed = of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), pose)
+    arc = of_each(problem, lambda body, z, phase: angle_and_arc(body, z, phase)[1], z, phase)
+    wrong = beyond_phase(phase, z[:, FORCE], z[:, SLACK])
+    if problem.friction is not None:
+        residual = residual.at[:, TRACTION].set(0.0)
+        beyond = (jnp.sum(z[:, TRACTION] ** 2, axis=1) - 1) * problem.friction * z[:, FORCE]
+        wrong = jnp.maximum(wrong, beyond)
+    wrong = jnp.where(touching, jnp.maximum(wrong, 0.0), 0.0)
+
+    def if_touching(values: Array) -> Array:
+        return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
+
+    vectors = {
+        ("fx", "fy", "fz"): if_touching(-base.force) * unit.force,
+        ("mx", "my", "mz"): if_touching(-base.moment) * unit.moment,
+        ("base_x", "base_y", "base_z"): placed.position * unit.length,
+        ("contact_x", "contact_y", "contact_z"): if_touching(z[:, POINT]) * unit.length,
+    }
+    components = {name: part for names, vector in vectors.items() for name, part in zip(names, vector.T, strict=True)}
+    state = SpaceState(
+        **components,
+        base_rotation=placed.rotation,
+        contact_force=if_touching(_size(problem, z)) * unit.force,
+        contact_arc=if_touching(arc) * unit.length,
+        phase=phase,
+        **({} if slips is None else _friction(problem, z, base, slips, if_touching)),
+    )
+    displacement = None
+    if problem.springs is not None:
+        displacement = jnp.concatenate([pose[:, :3] * unit.length, pose[:, 3:]], axis=1)
+    return SpaceSignals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
+
+
+def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
+    """Size of the contact forces."""
+    if problem.friction is None:
+        return z[:, FORCE]
+    return z[:, FORCE] * jnp.sqrt(1 + problem.friction**2 * jnp.sum(z[:, TRACTION] ** 2, axis=1))
+
+
+def _friction(
+    problem: SpaceProblem, z: Contacts, base: SpaceBase, slips: Array, if_touching: Callable
+) -> dict[str, Array]:
+    """Fields of a state with friction."""
+    normal = jax.vmap(problem.surface.normal)(z[:, POINT])
+    along = if_touching(base.force - z[:, FORCE, None] * normal) * problem.unit.force
+    return {
+        "slip": jnp.where(if_touching(slips.astype(int)) > 0, 1, 0),
+        "normal_force": if_touching(z[:, FORCE]) * problem.unit.force,
+        **{f"friction_{axis}": part for axis, part in zip("xyz", along.T, strict=True)},
+    }

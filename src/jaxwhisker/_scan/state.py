@@ -1,4 +1,6 @@
-"""The state of the whiskers in equilibrium."""
+"""The state of the whiskers in equilibrium, in the plane and in space."""
+
+from typing import Any, overload
 
 import equinox as eqx
 import jax
@@ -41,6 +43,58 @@ class State(eqx.Module):
     shaft_loads: tuple[Float[Array, "*steps whiskers"], ...] | None = eqx.field(default=None, kw_only=True)
 
 
+class SpaceState(eqx.Module):
+    """Whiskers in equilibrium in space, in the scene's frame and units; in a result with a leading axis of steps.
+
+    The reactions and all contact fields of a free whisker are zero.
+    """
+
+    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along +x
+    fy: Float[Array, "*steps whiskers"]
+    fz: Float[Array, "*steps whiskers"]
+    mx: Float[Array, "*steps whiskers"]  # moment about the displaced base, right-handed about +x
+    my: Float[Array, "*steps whiskers"]
+    mz: Float[Array, "*steps whiskers"]
+    base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
+    base_y: Float[Array, "*steps whiskers"]
+    base_z: Float[Array, "*steps whiskers"]
+    base_rotation: Float[Array, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
+    contact_force: Float[Array, "*steps whiskers"]  # size of the force of the object on the whisker
+    contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
+    contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
+    contact_y: Float[Array, "*steps whiskers"]
+    contact_z: Float[Array, "*steps whiskers"]
+    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    # The following fields are None without friction: whether a contact slips (1) or sticks (0), and the parts of the
+    # contact force: that along the object's normal (>= 0), and friction, which acts on the whisker along the object.
+    slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_x: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_y: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    friction_z: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    in_space = True
+
+    @property
+    def force(self) -> Float[Array, "*steps whiskers 3"]:
+        """Support reaction, force (fx, fy, fz)."""
+        return jnp.stack([self.fx, self.fy, self.fz], axis=-1)
+
+    @property
+    def moment(self) -> Float[Array, "*steps whiskers 3"]:
+        """Support reaction, moment (mx, my, mz)."""
+        return jnp.stack([self.mx, self.my, self.mz], axis=-1)
+
+    @property
+    def own_force(self) -> Float[Array, "*steps whiskers 3"]:
+        """Support reaction, force along d1, d2 and d3 of each whisker's base."""
+        return jnp.sum(self.base_rotation * self.force[..., :, None], axis=-2)
+
+    @property
+    def own_moment(self) -> Float[Array, "*steps whiskers 3"]:
+        """Support reaction, moment about d1, d2 and d3 of each whisker's base."""
+        return jnp.sum(self.base_rotation * self.moment[..., :, None], axis=-2)
+
+
 FRICTION = ("slip", "normal_force", "friction_force")  # fields that are None without friction
 FRICTION_IN_SPACE = ("slip", "normal_force", "friction_x", "friction_y", "friction_z")  # the same in space
 OBJECTS = ("contact_object",)  # fields that are None with a single object
@@ -49,10 +103,15 @@ IN_SPACE = ("fz", "mx", "my", "base_z", "base_rotation", "contact_z", "friction_
 OPTIONAL = (*FRICTION, *OBJECTS, "shaft_loads", *IN_SPACE)  # fields that not every state has
 
 
-def state_of(state: State) -> State:
-    """The fields of a state, without what a Result holds besides."""
-    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
-    return State(**jax.tree.map(jnp.asarray, fields))
+@overload
+def state_of(state: State) -> State: ...
+@overload
+def state_of(state: SpaceState) -> SpaceState: ...
+def state_of(state: Any) -> Any:
+    """The fields of a state, without what a result holds besides."""
+    kind = SpaceState if isinstance(state, SpaceState) else State
+    fields = {name: getattr(state, name) for name in kind.__dataclass_fields__}
+    return kind(**jax.tree.map(jnp.asarray, fields))
 
 
 def base_of(state: State) -> Pose:

@@ -94,7 +94,7 @@ def animate(
     """
     from tqdm import tqdm
 
-    from jaxwhisker._scan.space_result import SpaceResult
+    from jaxwhisker._scan.result import SpaceResult
     from jaxwhisker.film import canvas, frames, pace, writers
     from jaxwhisker.plot.view import check_no_view, check_view
 

@@ -20,8 +20,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import objects_of
 from jaxwhisker._path.path import SNAPS, EventKind, Status
 from jaxwhisker._scan.quantities import UnitSystem, control_kind, kind_of
-from jaxwhisker._scan.result import Event
-from jaxwhisker._scan.space_result import SpaceResult
+from jaxwhisker._scan.result import Event, SpaceResult
 from jaxwhisker._scan.state import State
 from jaxwhisker.film.frames import SNAP_FRAMES, Frames, Mark
 from jaxwhisker.plot.axes import GREY, SUPPORT, colour

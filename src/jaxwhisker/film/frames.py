@@ -33,7 +33,6 @@ SNAP_FRAMES = 13  # frames of a snap, including the states before and after it
 FILMED_POINTS = 64  # per centre line
 EVENT_ROUNDING = 1e-9  # of the travel or duration: a step exactly at an event shows the state after it
 SWINGS = 0.1  # of the whisker's length: only a whisker that swings moves farther than this in one step of the flow
-PADDING = 64  # states are padded to a multiple of this, because films of similar length then share a compiled program
 DEEPEST = 3e-3  # of the whisker's length: contacts and outlines are drawn with about this accuracy
 CURLS = np.concatenate([[0.0], *([curl, -curl] for curl in np.linspace(0.1, 6.0, 60))])
 
@@ -163,10 +162,7 @@ def _with_ends(event: Event, flow: State) -> State:
 def lines_of(scene: Scene, groups: Sequence[State], controls: Sequence[np.ndarray]) -> list[Shapes]:
     """Centre lines of each group of states, at these controls."""
     sizes = np.array([group.phase.shape[0] for group in groups])
-    states = _merged(np.concatenate, groups)
-    room = (0, -sizes.sum() % PADDING)
-    padded = jax.tree.map(lambda leaf: jnp.asarray(np.pad(leaf, [room, (0, 0)])), states)
-    lines = shapes_of(scene, padded, np.pad(np.concatenate(controls), [room]), points=FILMED_POINTS)
+    lines = shapes_of(scene, _merged(np.concatenate, groups), np.concatenate(controls), points=FILMED_POINTS)
     lines = jax.tree.map(np.asarray, lines)
     return [_at(lines, slice(end - size, end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
 

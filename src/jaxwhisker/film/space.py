@@ -7,8 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxwhisker._scan.quantities import UnitSystem
-from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-from jaxwhisker._scan.space_shapes import shapes_in_space, space_state_of
+from jaxwhisker._scan.result import SpaceResult
+from jaxwhisker._scan.shapes import shapes_of
+from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker.film.frames import FILMED_POINTS, Frames, Mark, first_steps
 from jaxwhisker.plot import space
 from jaxwhisker.plot.runs import events_of, places_of_events
@@ -21,8 +22,8 @@ def frames_in_space(result: SpaceResult, count: int) -> tuple[Frames, list[Mark]
     """Frames for evenly spaced steps of a scan, and the events. A snap has no frames."""
     control = np.asarray(result.control)
     shown = np.round(np.linspace(0, control.size - 1, count)).astype(int)
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[shown], space_state_of(result))
-    lines: Any = jax.tree.map(np.asarray, shapes_in_space(result.scene, states, count=FILMED_POINTS))
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[shown], state_of(result))
+    lines: Any = jax.tree.map(np.asarray, shapes_of(result.scene, states, control[shown], points=FILMED_POINTS))
     status, snap = np.asarray(result.status)[shown], np.zeros(count, bool)
     begins = np.searchsorted(shown, first_steps(result))
     where = places_of_events(result, "control")

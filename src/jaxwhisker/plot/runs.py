@@ -12,9 +12,8 @@ from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._scan.quantities import DRAWN, DRAWN_IN_SPACE, MOTION, REACTIONS, REACTIONS_IN_SPACE
-from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
+from jaxwhisker._scan.result import AbstractResult, Event, Result, SpaceResult, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
-from jaxwhisker._scan.space_result import SpaceResult
 from jaxwhisker._scan.state import State, state_of
 
 PlaneRun = Result | Simulation

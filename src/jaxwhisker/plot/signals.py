@@ -13,8 +13,7 @@ from matplotlib.lines import Line2D
 
 from jaxwhisker._base import checks
 from jaxwhisker._scan.quantities import OF_SPRINGS, UnitSystem, check_units, kind_of
-from jaxwhisker._scan.result import check_one_scan
-from jaxwhisker._scan.space_result import SpaceResult
+from jaxwhisker._scan.result import SpaceResult, check_one_scan
 from jaxwhisker.plot.axes import (
     COLOURS,
     DASHES,

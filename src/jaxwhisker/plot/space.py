@@ -24,9 +24,10 @@ from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.quantities import UnitSystem
+from jaxwhisker._scan.result import SpaceResult
+from jaxwhisker._scan.shapes import PADDING, SpaceShapes, shapes_of
 from jaxwhisker._scan.space import problem_now
-from jaxwhisker._scan.space_result import SpaceResult, SpaceState
-from jaxwhisker._scan.space_shapes import PADDING, SpaceShapes, shapes_in_space, space_state_of
+from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance
@@ -127,10 +128,11 @@ def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, v
 
 def drawings(result: SpaceResult, steps: np.ndarray, points: int = LINE_POINTS) -> SpaceDrawing:
     """Geometry of steps of a scan; its largest contact force has the longest arrow."""
-    states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], space_state_of(result))
-    lines = shapes_in_space(result.scene, states, count=points)
+    states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(result))
+    control = np.asarray(result.control)[steps]
+    lines = shapes_of(result.scene, states, control, points=points)
     largest = float(np.nan_to_num(np.asarray(result.contact_force)).max())
-    return drawing(result.scene, np.asarray(result.control)[steps], states, lines=lines, largest=largest)
+    return drawing(result.scene, control, states, lines=lines, largest=largest)
 
 
 def drawing(
@@ -152,7 +154,7 @@ def drawing(
     """
     size = float(scene.whiskers[0].length)
     if lines is None:
-        lines = shapes_in_space(scene, state, count=LINE_POINTS)
+        lines = shapes_of(scene, state, control, points=LINE_POINTS)
     whiskers = np.stack([lines.x, lines.y, lines.z], axis=-1) / size
     contacts = contacts_of(state, size)
     push = -np.stack([state.fx, state.fy, state.fz], axis=-1)

@@ -17,7 +17,7 @@ from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
-from jaxwhisker._scan.space_result import SpaceResult
+from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker.plot.axes import (
     OBJECT,
     SUPPORT,

@@ -13,8 +13,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._scan.channels import example_of
 from jaxwhisker._scan.quantities import QUANTITIES, STATE
-from jaxwhisker._scan.space_result import SpaceState
-from jaxwhisker._scan.state import FRICTION_IN_SPACE, State
+from jaxwhisker._scan.state import FRICTION_IN_SPACE, SpaceState, State
 from jaxwhisker._study.layout import field_of
 
 ROUNDING = 1e-12  # of a few operations on numbers of the order of 1

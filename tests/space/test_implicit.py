@@ -1,4 +1,4 @@
-"""Signals in space: events agree with states at their controls; reactions balance; derivatives of a snap."""
+"""Equilibria in space at events: they agree with states at their controls; derivatives of a snap."""
 
 import jax
 import jax.numpy as jnp
@@ -35,27 +35,6 @@ def test_the_state_of_a_change_of_phase_is_that_of_a_scan_that_stops_there(resul
     for name in ("force", "moment", "contact_force"):
         np.testing.assert_allclose(np.asarray(getattr(there, name))[1], getattr(event.state, name), atol=EXACT)
     assert float(event.state.contact_arc[0]) == pytest.approx(1.0, abs=EXACT)
-
-
-def test_reactions_balance_the_contact_force_at_the_contact(result):
-    point = np.stack([result.contact_x, result.contact_y, result.contact_z], axis=-1)
-    base = np.stack([result.base_x, result.base_y, result.base_z], axis=-1)
-    touching = np.asarray(result.phase) > 0
-    out = (point - CENTRE)[touching]
-    np.testing.assert_allclose(np.linalg.norm(out, axis=-1), 1.0, atol=EXACT)
-    push = np.asarray(result.contact_force)[touching][:, None] * out
-    np.testing.assert_allclose(np.asarray(result.force)[touching], -push, atol=EXACT)
-    np.testing.assert_allclose(
-        np.asarray(result.moment)[touching], -np.cross((point - base)[touching], push), atol=EXACT
-    )
-    assert np.all(np.asarray(result.force)[~touching] == 0)
-
-
-def test_in_the_frame_of_the_whisker_a_straight_one_has_no_twisting_moment(result):
-    np.testing.assert_allclose(np.asarray(result.own_moment)[..., 2], 0.0, atol=EXACT)
-    np.testing.assert_allclose(
-        np.sum(np.asarray(result.own_force) ** 2, axis=-1), np.sum(np.asarray(result.force) ** 2, axis=-1), atol=EXACT
-    )
 
 
 def past_ellipsoid(size):

@@ -1,6 +1,5 @@
-"""Signals in space: states of solved contacts in the scene's units, with their derivatives."""
+"""Equilibria in space with their derivatives: at a control, and before and after the events of a path."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -11,22 +10,12 @@ from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import STOP, EventKind, Node, Path
-from jaxwhisker._scan.mechanics import EventSides
-from jaxwhisker._scan.space_result import SpaceState
-from jaxwhisker._space.contact import FORCE, POINT, SLACK, TRACTION, UNKNOWNS, SpaceBase, angle_and_arc
+from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.history import LinkedNodes
 from jaxwhisker._space.newton import Phases
-from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.problem import Contacts, SpaceProblem
 from jaxwhisker._space.residuals import residuals
 from jaxwhisker._space.slip import SlipMode
-from jaxwhisker._space.stance import base_placement
-
-EVENTS = 32  # events of one whisker that a scan has room for
-
-
-def event_room(whiskers: int) -> int:
-    """Number of events that a scan has room for."""
-    return EVENTS * whiskers
 
 
 class Known(NamedTuple):
@@ -36,75 +25,6 @@ class Known(NamedTuple):
     u: Scalar  # the control, unless it is an unknown
     phase: Phases
     free: Contacts  # values of free whiskers
-
-
-class SpaceSignals(NamedTuple):
-    """An equilibrium in the scene's units, and its largest residual."""
-
-    state: SpaceState
-    residual: Scalar
-    displacement: Float[Array, "whiskers 6"] | None  # of the bases relative to their mounts; None if they are clamped
-
-
-def signals(
-    problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases, slips: Bool[Array, " whiskers"] | None = None
-) -> SpaceSignals:
-    """State of an equilibrium, and what is known besides; with friction, `slips` tells which contacts slip."""
-    unit, touching = problem.unit, phase != Phase.free
-    drive = problem.drive(u)
-    residual, pose, base = residuals(problem, z, u, phase, z)
-    placed = of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), pose)
-    arc = of_each(problem, lambda body, z, phase: angle_and_arc(body, z, phase)[1], z, phase)
-    excess = jnp.where(phase == Phase.tip, z[:, SLACK], -z[:, SLACK])
-    wrong = jnp.maximum(-z[:, FORCE], excess)
-    if problem.friction is not None:
-        residual = residual.at[:, TRACTION].set(0.0)
-        beyond = (jnp.sum(z[:, TRACTION] ** 2, axis=1) - 1) * problem.friction * z[:, FORCE]
-        wrong = jnp.maximum(wrong, beyond)
-    wrong = jnp.where(touching, jnp.maximum(wrong, 0.0), 0.0)
-
-    def if_touching(values: Array) -> Array:
-        return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
-
-    vectors = {
-        ("fx", "fy", "fz"): if_touching(-base.force) * unit.force,
-        ("mx", "my", "mz"): if_touching(-base.moment) * unit.moment,
-        ("base_x", "base_y", "base_z"): placed.position * unit.length,
-        ("contact_x", "contact_y", "contact_z"): if_touching(z[:, POINT]) * unit.length,
-    }
-    components = {name: part for names, vector in vectors.items() for name, part in zip(names, vector.T, strict=True)}
-    state = SpaceState(
-        **components,
-        base_rotation=placed.rotation,
-        contact_force=if_touching(_size(problem, z)) * unit.force,
-        contact_arc=if_touching(arc) * unit.length,
-        phase=phase,
-        **({} if slips is None else _friction(problem, z, base, slips, if_touching)),
-    )
-    displacement = None
-    if problem.springs is not None:
-        displacement = jnp.concatenate([pose[:, :3] * unit.length, pose[:, 3:]], axis=1)
-    return SpaceSignals(state, jnp.maximum(jnp.max(jnp.abs(residual)), jnp.max(wrong)), displacement)
-
-
-def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
-    """Size of the contact forces."""
-    if problem.friction is None:
-        return z[:, FORCE]
-    return z[:, FORCE] * jnp.sqrt(1 + problem.friction**2 * jnp.sum(z[:, TRACTION] ** 2, axis=1))
-
-
-def _friction(
-    problem: SpaceProblem, z: Contacts, base: SpaceBase, slips: Array, if_touching: Callable
-) -> dict[str, Array]:
-    """Fields of a state with friction."""
-    normal = jax.vmap(problem.surface.normal)(z[:, POINT])
-    along = if_touching(base.force - z[:, FORCE, None] * normal) * problem.unit.force
-    return {
-        "slip": jnp.where(if_touching(slips.astype(int)) > 0, 1, 0),
-        "normal_force": if_touching(z[:, FORCE]) * problem.unit.force,
-        **{f"friction_{axis}": part for axis, part in zip("xyz", along.T, strict=True)},
-    }
 
 
 def _at_control(unknowns: Float[Array, " n"], known: Known) -> Float[Array, " n"]:
@@ -158,8 +78,8 @@ class Side(NamedTuple):
 
 def sides_of_events(
     problem: SpaceProblem, path: Path, links: LinkedNodes | None, at: Int[Array, " events"], filled: Array
-) -> EventSides:
-    """Equilibria before and after the events at these nodes; free whiskers where there is no event."""
+) -> tuple[Float[Array, " events"], Side, Side]:
+    """Controls of the events at these nodes, and the equilibria before and after; free whiskers without an event."""
     nodes = with_turns(path)
 
     def one(k, filled):
@@ -168,7 +88,7 @@ def sides_of_events(
         return _event(problem, jax.tree.map(lambda leaf: leaf[k], nodes), filled)
 
     control, before, after = jax.vmap(one)(at, filled)
-    return EventSides(jnp.asarray(control), before, after)
+    return jnp.asarray(control), before, after
 
 
 def _linked_event(nodes: Node, links: LinkedNodes, k: Scalar, filled: Array) -> tuple[Scalar, Side, Side]:
