@@ -121,14 +121,25 @@ def test_a_failed_compilation_ends_the_announcement(terminal, monkeypatch):
 
 
 def test_a_long_search_shows_its_progress(terminal, monkeypatch):
+    monkeypatch.setattr(announce, "PATIENCE", 0.01)
     monkeypatch.setattr(announce, "REFRESH", 0.0)
     with announce.progress("fitting") as report:
         for misfit in (7.0, 3.0, 5.0):
-            time.sleep(0.01)
+            time.sleep(0.02)
             report(misfit)
     lines = terminal.getvalue().split("\r")
-    assert "fitting, 3 scans" in lines[3] and "misfit 3" in lines[3]
+    assert lines[1] == "jaxwhisker: fitting, 1 scans in 0 s, misfit 7"
+    assert lines[3] == "jaxwhisker: fitting, 3 scans in 0 s, misfit 3"
     assert lines[-2].strip() == "" and lines[-1] == ""  # the line is erased
+
+
+def test_a_search_shows_nothing_without_a_terminal(terminal, monkeypatch):
+    file = io.StringIO()
+    monkeypatch.setattr(announce.sys, "stderr", file)
+    monkeypatch.setattr(announce, "REFRESH", 0.0)
+    with announce.progress("fitting") as report:
+        report(1.0)
+    assert file.getvalue() == ""
 
 
 def test_a_short_search_shows_nothing(terminal, monkeypatch):

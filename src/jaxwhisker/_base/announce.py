@@ -4,14 +4,12 @@ import inspect
 import os
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 PATIENCE = 2.0  # seconds after which a line is printed
 REFRESH = 0.5  # seconds between two updates of a line of progress
-LINE = 79  # characters
 
 
 class _Notice:
@@ -73,25 +71,27 @@ def progress(doing: str) -> Iterator[Callable[[float], None]]:
         doing: what is shown, such as "fitting".
 
     Yields:
-        A function to call after every trial with its misfit.
+        A function to call after every trial with its misfit, from any thread.
     """
-    start, lock = time.monotonic(), threading.Lock()
-    shown, trials, least = start, 0, float("inf")
+    if not _interactive():
+        yield lambda misfit: None
+        return
+    from tqdm import tqdm
 
-    def report(misfit: float) -> None:
-        nonlocal shown, trials, least
-        with lock:
-            trials, least, now = trials + 1, min(least, misfit), time.monotonic()
-            if now - start > PATIENCE and now - shown > REFRESH and _interactive():
-                shown = now
-                line = f"jaxwhisker: {doing}, {trials} scans in {now - start:.0f} s, misfit {least:.3g}"
-                print(f"\r{line:<{LINE}}", end="", file=sys.stderr, flush=True)
+    lock, least = threading.Lock(), float("inf")
+    line = "jaxwhisker: {desc}, {n} scans in {elapsed_s:.0f} s{postfix}"
+    # Every trial counts (`miniters`): tqdm would skip those that it expects to be fast.
+    when = {"delay": PATIENCE, "mininterval": REFRESH, "miniters": 1}
+    with tqdm(desc=doing, bar_format=line, file=sys.stderr, leave=False, **when) as bar:
 
-    try:
+        def report(misfit: float) -> None:
+            nonlocal least
+            with lock:
+                least = min(least, misfit)
+                bar.set_postfix_str(f"misfit {least:.3g}", refresh=False)
+                bar.update()
+
         yield report
-    finally:
-        if shown > start:
-            print("\r" + " " * LINE + "\r", end="", file=sys.stderr, flush=True)
 
 
 def _announce(kept: bool) -> None:
