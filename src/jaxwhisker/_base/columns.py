@@ -1,4 +1,8 @@
-"""Columns of numbers by name, from text files as spreadsheets, NumPy and laboratory programs write them."""
+"""Columns of numbers by name, from text files as spreadsheets, NumPy and laboratory programs write them.
+
+np.genfromtxt and pandas.read_csv must be told about decimal commas and lines of units, and rename columns that occur
+twice. Of a column of text, genfromtxt makes NaN; pandas drops names behind a #, as NumPy writes them.
+"""
 
 import csv
 import gzip
