@@ -160,7 +160,7 @@ class WhiskDrive(SpaceMotion, AbstractRotation, AbstractBounded):
         >>> print(row_c.placement(0.0).rotation.diagonal())
         [1. 1. 1.]
 
-    Rates of rats in the rows A to E: elevation 0.12, 0.30, 0.30, 0.14, 0.02 and roll -0.76, -0.25, 0.22, 0.43, 0.73.
+    `Array.rat` has the rates of rats.
     """
 
     elevation: Scalar = 0.0

@@ -1,4 +1,4 @@
-"""Supports that were published for the whiskers of rats, in SI units."""
+"""Supports that were published for the whiskers of rats, in SI units; their numbers are in `published/rats.toml`."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.data_files import published
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.foundation import Foundation
@@ -14,11 +15,8 @@ from jaxwhisker._model.motion import Mount
 from jaxwhisker._model.spring import Spring
 
 MM = 1e-3
-# Simony et al.: stiffness (N/m) of each spring at skin and plate, and of the one below, for small and large angles.
-SMALL, LARGE = (0.3, 0.3, 1.0), (0.2, 0.2, 0.6)
-HILL_TIME, HILL_DAMPING = 0.027, 2.0  # s, and damping ratio
-REST_ANGLE = np.radians(20.0)  # of Hill et al., to the normal of the pad
-HILL_GUIDE = 1e3  # N/m: of the centre of mass, which the model holds at a constant height
+REST_ANGLE = np.radians(20.0)  # default of `hill`, to the normal of the pad
+HILL_GUIDE = 1e3  # N/m: of the centre of mass, which the model of Hill et al. holds at a constant height
 
 
 class Published(eqx.Module, metaclass=Suggesting):
@@ -54,12 +52,13 @@ class Published(eqx.Module, metaclass=Suggesting):
         anchors and angles as in their program (ModelDB 127512).
         """
         checks.number("follicle", follicle, positive=True)
-        skin, plate, below = LARGE if large_angles else SMALL
         if angle is not None:
             checks.acute_angle("angle", angle)
-        tilt: Any = np.radians(15.0 if large_angles else 25.0) if angle is None else angle
+        numbers = published("rats")["simony"]
+        skin, plate, below, rest = numbers["large_angles" if large_angles else "small_angles"].values()
+        tilt: Any = np.radians(rest) if angle is None else angle
         x, y = follicle * jnp.sin(tilt), -follicle * jnp.cos(tilt)
-        half = MM  # from a spring's end on the follicle to its anchor
+        half = numbers["anchor"] * MM  # from a spring's end on the follicle to its anchor
         places: list[Any] = [(skin, 0.0, (-half, 0.0)), (skin, 0.0, (half, 0.0))]
         places += [
             (plate, -follicle, (x - half, y)),
@@ -111,7 +110,9 @@ class Published(eqx.Module, metaclass=Suggesting):
         checks.count("whiskers", whiskers)
         if not checks.is_traced((pad, follicle)) and not float(pad) > (whiskers + 1) * float(follicle):
             checks.fail("pad", f"wider than {whiskers + 1} follicles of {follicle}", pad)
-        omega = 1 / ((HILL_DAMPING - np.sqrt(HILL_DAMPING**2 - 1)) * HILL_TIME)
+        numbers = published("rats")["hill"]
+        damping = numbers["damping_ratio"]
+        omega = 1 / ((damping - np.sqrt(damping**2 - 1)) * numbers["time"])
         strength = pad / 2 * whiskers * mass * omega**2
         apart, last, springs = pad / (whiskers + 1), whiskers, []
         for at in (0.0, -follicle):
@@ -120,7 +121,8 @@ class Published(eqx.Module, metaclass=Suggesting):
                 rest, wall = apart - side * x, (side * pad / 2, y)
                 springs.append(Spring((0, base), strength / rest, -side * rest, axis="axial", at=at, anchor=wall))
             springs += [Spring((k, k + 1), strength / apart, apart, axis="axial", at=(at, at)) for k in range(1, last)]
-        springs += [Spring((0, k), HILL_GUIDE, axis="y", at=-1.43 * MM) for k in range(1, last + 1)]
+        held = -numbers["centre_of_mass"] * MM
+        springs += [Spring((0, k), HILL_GUIDE, axis="y", at=held) for k in range(1, last + 1)]
         mounts = tuple(Mount(x=(k - (last + 1) / 2) * apart, angle=angle) for k in range(1, last + 1))
         return cls(tuple(springs), mounts if last > 1 else mounts[0], free=("phi",))
 

@@ -1,10 +1,11 @@
-"""Whiskers with circular cross-sections, from materials and diameters, and the whiskers of rats."""
+"""Whiskers with circular cross-sections, from materials and diameters or from those of rats."""
 
 from typing import Any
 
 import jax.numpy as jnp
 
 from jaxwhisker._base import checks
+from jaxwhisker._base.data_files import published
 from jaxwhisker._base.leaves import as_text
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.along import (
@@ -16,9 +17,6 @@ from jaxwhisker._model.along import (
     check_slender,
 )
 from jaxwhisker._model.measured import Measured
-
-LAST_COLUMN = {"A": 4, "B": 4, "C": 5, "D": 5, "E": 5}  # of each row for which the regression gives a length
-LEAST_TIP_RADIUS = 0.0015  # mm
 
 
 class Round(Measured):
@@ -156,17 +154,22 @@ class Round(Measured):
         with the coefficients and the smallest tip radius of the simulator WHISKiT Physics (Zweifel et al. 2021, PNAS
         118, e2011905118), which uses these regressions.
         """
-        if not isinstance(row, str) or row not in LAST_COLUMN:
-            checks.fail("row", f"one of {', '.join(LAST_COLUMN)}", repr(row))
-        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= LAST_COLUMN[row]:
-            checks.fail("column", f"an int from 0 to {LAST_COLUMN[row]} in row {row}", repr(column))
+        cone = published("rats")["cone"]
+        last_column = cone["last_column"]
+        if not isinstance(row, str) or row not in last_column:
+            checks.fail("row", f"one of {', '.join(last_column)}", repr(row))
+        if not isinstance(column, int) or isinstance(column, bool) or not 0 <= column <= last_column[row]:
+            checks.fail("column", f"an int from 0 to {last_column[row]} in row {row}", repr(column))
         if length is not None:
             checks.number("length", length, positive=True)
-        r, c = list(LAST_COLUMN).index(row) + 1, column
-        arc = 43 + 1.8 * r - 7.6 * c if length is None else length * 1e3
-        base = 0.041 + 0.002 * arc + 0.011 * r - 0.0039 * c
-        slope = 0.0012 + 0.00017 * r - 0.000066 * c + 0.00011 * c**2
-        tip = jnp.maximum(base - 2 * slope * arc, 2 * LEAST_TIP_RADIUS)
+        terms: dict[str, Any] = {"1": 1, "r": list(last_column).index(row) + 1, "c": column, "cc": column**2}
+
+        def regression(name: str) -> Any:
+            return sum(coefficient * terms[term] for term, coefficient in cone[name].items())
+
+        arc = terms["S"] = regression("arc") if length is None else length * 1e3
+        base = regression("base_diameter")
+        tip = jnp.maximum(base - 2 * regression("slope_of_radius") * arc, 2 * cone["least_tip_radius"])
         if parabola is not None:
             if intrinsic_curvature is not None:
                 checks.fail("parabola", "None with an `intrinsic_curvature`", as_text(parabola))

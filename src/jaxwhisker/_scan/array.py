@@ -15,12 +15,12 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.columns import cells_of, floats
+from jaxwhisker._base.data_files import published
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._model.along import ParabolicShape
 from jaxwhisker._model.drives import SpaceMotion, WhiskDrive
 from jaxwhisker._model.motion import AbstractMotion, Mount
-from jaxwhisker._model.round import LAST_COLUMN
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Support
@@ -46,22 +46,6 @@ SHAPE = ("parabola", "curvature", "lateral_curvature", "twist", "torsion_ratio")
 SPRINGS = {f"spring_{axis}": axis for axis in ("x", "y", "z", "phi_x", "phi", "phi_y")}
 COLUMNS = ("name", *PLACES, *ANGLES, *RATES, "length", *ROUND, *STIFF, *SHAPE, *SPRINGS)
 ALLOWED = f"among {', '.join(COLUMNS)}"
-
-# Angles in degrees and lengths in mm. Protraction at rest from the caudal end of the midline; Hobbs et al. (2015), PLoS
-# Comput. Biol. 11, e1004109, table 4, by row and column.
-REST = {
-    "A": (67.9, 73.0, 78.7, 84.6, 90.6),
-    "B": (52.5, 61.8, 71.4, 81.1, 90.8),
-    "C": (48.0, 57.8, 69.4, 80.2, 90.8, 101.4),
-    "D": (53.4, 62.4, 71.7, 81.2, 90.8, 100.2),
-    "E": (np.nan, 68.0, 75.3, 82.9, 90.6, 98.3),
-}
-# Elevation at rest, and change of elevation and roll per protraction; Knutsen et al. (2008), by row.
-ELEVATION = {"A": 56.0, "B": 25.0, "C": -4.2, "D": -27.2, "E": -44.0}
-ELEVATION_RATE = {"A": 0.12, "B": 0.30, "C": 0.30, "D": 0.14, "E": 0.02}
-ROLL_RATE = {"A": -0.76, "B": -0.25, "C": 0.22, "D": 0.43, "E": 0.73}
-SPACING = 2.0  # of follicles; Simony et al. (2010), J. Neurosci. 30, 8935
-SHORT, LONG = (4.4, 38.0), (52.8, 6.0)  # arc length, and A in 1/m, at the ends of the measured range
 
 
 class PowerTaper(eqx.Module):
@@ -168,9 +152,9 @@ class Array(eqx.Module, metaclass=Suggesting):
         rows: list[dict[str, Any]] = []
         for side in sides:
             mirrored = side == "left"
-            for row, column in ((row, column) for row, last in LAST_COLUMN.items() for column in range(last + 1)):
-                if not np.isnan(REST[row][column]):
-                    rows.append(_rat_row(row, column, mirrored, youngs_modulus, width, curved))
+            for row, angles in published("rats")["array"]["protraction"].items():
+                known = np.flatnonzero(np.isfinite(angles)).tolist()
+                rows += [_rat_row(row, column, mirrored, youngs_modulus, width, curved) for column in known]
         return cls({name: [row[name] for row in rows] for name in rows[0]})
 
     def __len__(self) -> int:
@@ -368,21 +352,24 @@ def _rat_row(row: str, column: int, mirrored: bool, modulus: float, width: float
     whisker = Whisker.rat(row, column, youngs_modulus=modulus)
     diameter: Any = whisker.bending_stiffness.diameter
     length = float(whisker.length)
-    rest = (REST[row][column] - 90) * DEGREE
-    power = np.log(LONG[1] / SHORT[1]) / np.log(LONG[0] / SHORT[0])
-    parabola = SHORT[1] * (length / MM / SHORT[0]) ** power
+    array = published("rats")["array"]
+    own, spacing = array["rows"][row], array["spacing"] * MM
+    rest = (array["protraction"][row][column] - 90) * DEGREE
+    short, long = array["shapes"]["short"], array["shapes"]["long"]
+    power = np.log(long["parabola"] / short["parabola"]) / np.log(long["arc"] / short["arc"])
+    parabola = short["parabola"] * (length / MM / short["arc"]) ** power
     side, sign = ("L", -1) if mirrored else ("R", 1)
     return {
         "name": f"{side}{row}{column}",
-        "x": -SPACING * MM * column,
+        "x": -spacing * column,
         "y": sign * width / 2,
-        "z": -SPACING * MM * list(LAST_COLUMN).index(row),
+        "z": -spacing * list(array["rows"]).index(row),
         "protraction": np.pi - rest if mirrored else rest,
-        "elevation": ELEVATION[row] * DEGREE,
+        "elevation": own["elevation"] * DEGREE,
         "roll": np.pi if mirrored else 0.0,
         "protraction_rate": sign,
-        "elevation_rate": ELEVATION_RATE[row],
-        "roll_rate": sign * ROLL_RATE[row],
+        "elevation_rate": own["elevation_rate"],
+        "roll_rate": sign * own["roll_rate"],
         "length": length,
         "base_diameter": float(diameter.base),
         "tip_diameter": float(diameter.tip),
