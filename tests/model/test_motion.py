@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.motion import Pose, frame_and_rate
+from jaxwhisker._model.motion import Pose, frame_and_rate, pose_of
 from scenes import all_ok, check_derivatives, follicle
 
 EXACT = 1e-7  # of signals relative to their size: error of the rods' steps
@@ -162,6 +162,13 @@ def test_poses():
     np.testing.assert_allclose(jnp.stack(turned), [0.1 - 0.5 * np.sin(0.3), -0.4 + 0.5 * np.cos(0.3), 0.3], atol=1e-15)
     user_defined = jw.Motion(Wave(0.3, 0.1, 1.2), 0.0, 2.0).pose(0.5)
     np.testing.assert_allclose(jnp.stack(user_defined), [0.7, 0.3 * np.sin(1.0), 0.1 * np.sin(0.5)], atol=1e-15)
+
+
+def test_a_pose_is_three_arrays_of_floats():
+    for motion in (jw.Translation(), jw.Rotation((0, -1), 1), jw.Motion(Wave(), 0.0, 2.0)):
+        pose = pose_of(motion, 1)
+        assert isinstance(pose, Pose) and [part.dtype for part in pose] == [jnp.float64] * 3
+        np.testing.assert_array_equal(jnp.stack(pose), jnp.stack([jnp.asarray(part) for part in motion.pose(1)]))
 
 
 def test_directions_and_units():

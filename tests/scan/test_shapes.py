@@ -64,7 +64,7 @@ def state(**fields):
 
 
 def points(whisker, state, count=64):
-    lines = shapes_of(jw.Scene(whisker, SPHERE), state, 0.0, points=count)
+    lines = shapes_of(jw.SpaceScene(whisker, SPHERE), state, 0.0, points=count)
     return np.stack([lines.x, lines.y, lines.z], axis=-1)[0]
 
 
@@ -108,7 +108,7 @@ def test_states_are_as_many_as_asked_for_and_failed_ones_are_nan():
     one = state()
     several = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), one)
     several = dataclasses.replace(several, base_x=several.base_x.at[1].set(jnp.nan))
-    lines = shapes_of(jw.Scene(jw.Whisker(), SPHERE), several, np.zeros(3), points=10)
+    lines = shapes_of(jw.SpaceScene(jw.Whisker(), SPHERE), several, np.zeros(3), points=10)
     assert lines.x.shape == lines.y.shape == lines.z.shape == (3, 1, 10)
     assert np.isnan(lines.x[1]).all() and np.isfinite(lines.x[np.array([0, 2])]).all()
     np.testing.assert_allclose(lines.y[0, 0], np.linspace(0.0, 1.0, 10), atol=HELIX)
@@ -118,7 +118,7 @@ def test_shapes_have_derivatives():
     def tip(force):
         bent = state(contact_force=1.0, contact_arc=1.0, phase=1, contact_y=1.0)
         bent = dataclasses.replace(bent, fz=force[None])
-        return shapes_of(jw.Scene(jw.Whisker(), SPHERE), bent, 0.0, points=64).z[0, -1]
+        return shapes_of(jw.SpaceScene(jw.Whisker(), SPHERE), bent, 0.0, points=64).z[0, -1]
 
     # A small force across the tip bends a cantilever by 1/3.
     assert float(jax.grad(tip)(jnp.asarray(0.0))) == pytest.approx(-1 / 3, abs=1e-8)

@@ -132,6 +132,6 @@ def test_the_object_only_pushes():
 
 
 def test_the_slack_has_the_sign_of_its_phase():
-    phase = np.array([Phase.tip, Phase.tip, Phase.tangential, Phase.tangential, Phase.tip])
-    force, slack = np.array([1.0, 1.0, 1.0, 1.0, -0.3]), np.array([-0.1, 0.1, 0.1, -0.2, -0.4])
+    phase = jnp.array([Phase.tip, Phase.tip, Phase.tangential, Phase.tangential, Phase.tip])
+    force, slack = jnp.array([1.0, 1.0, 1.0, 1.0, -0.3]), jnp.array([-0.1, 0.1, 0.1, -0.2, -0.4])
     np.testing.assert_allclose(beyond_phase(phase, force, slack), [-0.1, 0.1, -0.1, 0.2, 0.3])

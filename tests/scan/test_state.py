@@ -27,7 +27,7 @@ def test_the_state_of_a_result_has_nothing_else():
 
 def test_the_state_of_a_result_in_space_has_nothing_else():
     scene = jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)))
-    result = example_of(scene)
+    result: Any = example_of(scene)
     state = state_of(result)
     assert type(state) is SpaceState
     for name in SpaceState.__dataclass_fields__:

@@ -19,7 +19,7 @@ from jaxwhisker._dynamics.held import SprungShafts, held_of
 from jaxwhisker._dynamics.legendre import Basis, basis
 from jaxwhisker._dynamics.outline import outline
 from jaxwhisker._equilibrium.shaft_springs import Laws
-from jaxwhisker._model.motion import AbstractMotion, Pose
+from jaxwhisker._model.motion import AbstractMotion, Pose, pose_of
 from jaxwhisker._model.network import along_all_axes
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, Sensor, time_unit, units_of
@@ -226,5 +226,5 @@ def _network(
 
 def drive_pose(motion: AbstractMotion, control: Scalar, unit: MotionUnits) -> Float[Array, "3"]:
     """Pose of the drive at a control, in the scene's units: x, y and angle, dimensionless."""
-    x, y, angle = (jnp.asarray(part, dtype=float) for part in motion.pose(control))
+    x, y, angle = pose_of(motion, control)
     return jnp.stack([x / unit.length, y / unit.length, angle])

@@ -19,7 +19,7 @@ from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
 from jaxwhisker._dynamics.time_step import load_at
 from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.motion import AbstractMotion, Pose
+from jaxwhisker._model.motion import AbstractMotion, pose_of
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._scan.deflect import Deflection
@@ -85,7 +85,7 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
 
 @Program
 def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection, control: Scalar) -> Start:
-    drive = Pose(*(jnp.asarray(part, dtype=float) for part in motion.pose(control)))
+    drive = pose_of(motion, control)
     cos, sin = jnp.cos(drive.angle), jnp.sin(drive.angle)
     x, y = start.base_x, start.base_y
     base = [drive.x + cos * x - sin * y, drive.y + sin * x + cos * y, drive.angle + start.base_angle]

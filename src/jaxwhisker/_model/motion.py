@@ -238,6 +238,11 @@ def _pose_function(value: Any) -> Any:
     return as_field(value)
 
 
+def pose_of(motion: AbstractMotion, control: Scalar) -> Pose:
+    """The pose of the drive at a control, as arrays of floats."""
+    return Pose(*(jnp.asarray(part, dtype=float) for part in motion.pose(control)))
+
+
 class Mount(eqx.Module):
     """Mount of a whisker: where its base is in the drive's frame when all rest lengths are 0, and at which angle.
 

@@ -23,7 +23,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.motion import pose_of
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Status, is_snap
 from jaxwhisker._scan import panels
@@ -151,13 +151,9 @@ def _points(panel: Panel) -> tuple[Float[Array, " at"], Float[Array, " at"]]:
 
 def _power(scene: Scene, control: Float[Array, " at"], state: State) -> Float[Array, " at"]:
     """Work of the drive per control."""
-
-    def moving(control):
-        return tuple(jnp.asarray(value, dtype=float) for value in scene.motion.pose(control))
-
     one = jnp.ones_like(control[0])
-    drive, rate = jax.vmap(lambda u: jax.jvp(moving, (u,), (one,)))(control)
-    drive, rate = (Pose(*(leaf[:, None] for leaf in pose)) for pose in (drive, rate))
+    drive, rate = jax.vmap(lambda u: jax.jvp(lambda u: pose_of(scene.motion, u), (u,), (one,)))(control)
+    drive, rate = jax.tree.map(lambda leaf: leaf[:, None], (drive, rate))
     if scene.support.on_shafts:
         fx, fy, about = _exerted(scene, control, state)
         along_x, along_y = rate.x + drive.y * rate.angle, rate.y - drive.x * rate.angle

@@ -26,7 +26,7 @@ from jaxwhisker._equilibrium.shaft_springs import (
     stretched,
     walk,
 )
-from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted
+from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted, pose_of
 from jaxwhisker._model.network import SpringEnds
 from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
 from jaxwhisker._model.spring import AXES, POINTS, WEIGHTS
@@ -97,7 +97,7 @@ def held(
     ones = [jnp.ones(()) for _ in Units._fields]
     springs = attached(by.support, sections(whiskers, 1.0, 1.0), Units(*ones))
     assert springs is not None
-    drive = mounted(Pose(*(jnp.asarray(part, dtype=float) for part in by.motion.pose(control))), Pose(0.0, 0.0, 0.0))
+    drive = mounted(pose_of(by.motion, control), Pose(0.0, 0.0, 0.0))
     held_by = springs.held_by
     if springs.couplings is not None and loads:
         z = jnp.stack([*[jnp.zeros_like(loads[0])] * 3, *loads], axis=1)
