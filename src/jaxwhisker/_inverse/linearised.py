@@ -23,9 +23,10 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
 from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.assembly import AbstractScene
+from jaxwhisker._path.path import Path
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.events import EventTable, event_table
-from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Solutions
+from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Solutions
 from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.slopes import solved_states_now
 from jaxwhisker._scan.steps import states
@@ -74,7 +75,7 @@ class Linearised(NamedTuple):
 def _memory_and_slopes(
     mechanics: type[Mechanics],
     problem: AnyProblem,
-    path: AnyPath,
+    path: Path,
     stops: Float[Array, " stops"],
     directions: Float[Array, "numbers directions"],
     stop_slopes: Float[Array, "stops directions"],
@@ -94,7 +95,7 @@ def _memory_and_slopes(
 def _events_and_slopes(
     mechanics: type[Mechanics],
     problem: AnyProblem,
-    path: AnyPath,
+    path: Path,
     memory: Linearised,
     directions: Float[Array, "numbers directions"],
 ) -> tuple[EventTable, Float[Array, "events directions"]]:
@@ -123,7 +124,7 @@ def _states_and_slopes(
     mechanics: type[Mechanics],
     fields: tuple[str, ...] | None,
     problem: AnyProblem,
-    path: AnyPath | None,
+    path: Path | None,
     control: Float[Array, " steps"],
     solutions: Solutions,
     memory: Linearised,

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._path.path import EventKind, first_and_last
-from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory
+from jaxwhisker._path.path import EventKind, Path, first_and_last
+from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory
 from jaxwhisker._scan.steps import kept
 
 
@@ -34,7 +34,7 @@ class EventTable(NamedTuple):
     travel: Float[Array, " events"]  # no derivatives
 
 
-def event_table(mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, memory: Memory = None) -> EventTable:
+def event_table(mechanics: type[Mechanics], problem: AnyProblem, path: Path, memory: Memory = None) -> EventTable:
     """The events of a path. `memory` is what contacts with friction remember, with its derivatives."""
     nodes = mechanics.event_nodes(path)
     public, at = public_nodes(nodes, path.count, mechanics.event_room(nodes.whiskers.shape[1]))
@@ -52,7 +52,7 @@ def event_table(mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, 
 
 
 def events(
-    mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, memory: Memory = None, room: int | None = None
+    mechanics: type[Mechanics], problem: AnyProblem, path: Path, memory: Memory = None, room: int | None = None
 ) -> Any:
     """The events of a path. `memory` is what contacts with friction remember, with its derivatives."""
     nodes = mechanics.event_nodes(path)

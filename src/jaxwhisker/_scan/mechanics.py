@@ -14,12 +14,11 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._path.path import ScanPath
+from jaxwhisker._path.path import Path, ScanPath
 
-# Trees that only the mechanics look into: the dimensionless problem, its path, what contacts with friction remember at
-# the nodes of the path (None without friction), and how whiskers touch.
+# Trees that only the mechanics look into: the dimensionless problem, what contacts with friction remember at the nodes
+# of a path (None without friction), and how whiskers touch.
 AnyProblem: TypeAlias = Any
-AnyPath: TypeAlias = Any
 Memory: TypeAlias = Any
 AnyState: TypeAlias = Any
 
@@ -66,12 +65,12 @@ class Mechanics(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def detected(scene: Any, problem: AnyProblem, path: AnyPath) -> AnyPath:
+    def detected(scene: Any, problem: AnyProblem, path: Path) -> Path:
         """The path up to the first contact that is not modelled."""
 
     @staticmethod
     @abc.abstractmethod
-    def prepare(pool: Executor, scene: Any, problem: AnyProblem, stops: int) -> tuple[AnyPath, Memory]:
+    def prepare(pool: Executor, scene: Any, problem: AnyProblem, stops: int) -> tuple[Path, Memory]:
         """Compile the programs of the path in a pool. Return the shapes of the path and of what contacts remember."""
 
     @staticmethod
@@ -81,22 +80,17 @@ class Mechanics(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def phases(path: AnyPath) -> Int[Array, "nodes whiskers"]:
-        """Phases of the contacts at the nodes of a path."""
-
-    @staticmethod
-    @abc.abstractmethod
-    def memory(problem: AnyProblem, path: AnyPath, stops: Any) -> Memory:
+    def memory(problem: AnyProblem, path: Path, stops: Any) -> Memory:
         """What contacts remember at the nodes of a path, by a program that computes no more than is needed."""
 
     @staticmethod
     @abc.abstractmethod
-    def remember(problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]) -> Memory:
+    def remember(problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
         """What contacts remember at the nodes of a path with friction, with derivatives."""
 
     @staticmethod
     @abc.abstractmethod
-    def remembered(memory: Memory, path: AnyPath, solutions: Solutions) -> Any:
+    def remembered(memory: Memory, path: Path | None, solutions: Solutions) -> Any:
         """What the contacts of each step remember: a tree of arrays with a leading axis of steps.
 
         The path may be None if the memory is.
@@ -106,7 +100,7 @@ class Mechanics(abc.ABC):
     @abc.abstractmethod
     def solve(
         problem: AnyProblem,
-        path: AnyPath,
+        path: Path,
         index: Int[Array, " steps"],
         u: Float[Array, " steps"],
         known: Int[Array, " steps"],
@@ -142,20 +136,20 @@ class Mechanics(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def event_nodes(path: AnyPath) -> Any:
+    def event_nodes(path: Path) -> Any:
         """The nodes of a path, with all events that happen there."""
 
     @staticmethod
     @abc.abstractmethod
     def at_events(
-        problem: AnyProblem, path: AnyPath, memory: Memory, at: Int[Array, " events"], filled: Bool[Array, " events"]
+        problem: AnyProblem, path: Path, memory: Memory, at: Int[Array, " events"], filled: Bool[Array, " events"]
     ) -> EventSides:
         """Equilibria at the events of these nodes; safe placeholders where there is none."""
 
     @staticmethod
     @abc.abstractmethod
     def event_controls(
-        problem: AnyProblem, path: AnyPath, memory: Memory, at: Int[Array, " events"], filled: Bool[Array, " events"]
+        problem: AnyProblem, path: Path, memory: Memory, at: Int[Array, " events"], filled: Bool[Array, " events"]
     ) -> tuple[Float[Array, " events"], Bool[Array, "events whiskers"]]:
         """Dimensionless controls of events, with derivatives, and whose contacts end there."""
 

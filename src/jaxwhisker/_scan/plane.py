@@ -101,10 +101,6 @@ class Plane(Mechanics):
         return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
 
     @staticmethod
-    def phases(path: Path) -> Int[Array, "nodes whiskers"]:
-        return path.nodes.state.phase
-
-    @staticmethod
     def memory(problem: Problem, path: Path, stops: Any) -> Memory | None:
         if problem.friction_angle is None or not checks.is_traced((problem, stops)):
             return memory_of(path)

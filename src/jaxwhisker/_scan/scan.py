@@ -21,9 +21,9 @@ from jaxwhisker._base.aside import Compilers
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._model.scene import AbstractScene, Scene
-from jaxwhisker._path.path import ScanPath, Status, room_for
+from jaxwhisker._path.path import Path, ScanPath, Status, room_for
 from jaxwhisker._scan.blocks import in_blocks
-from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory
+from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory
 from jaxwhisker._scan.plane import Plane
 from jaxwhisker._scan.result import Result, SpaceResult
 from jaxwhisker._scan.route import (
@@ -123,7 +123,7 @@ def _scan(scene: AbstractScene, control: Control | None, steps: int | None = Non
     path, start, stop = path_along(mechanics, scene, problem, route, status)
     memory = mechanics.memory(problem, path, np.zeros(2) if route is None else route.stops)
     if route is None:
-        warn_of_no_touch(mechanics.phases(path), path.status, scene)
+        warn_of_no_touch(path.nodes.state.phase, path.status, scene)
         route = _route_across(start, stop, steps, problem)
 
     differences = None if checks.is_traced((scene, path, route.control)) else mechanics.differences(scene)
@@ -175,7 +175,7 @@ def _result(
     mechanics: type[Mechanics],
     scene: Any,
     problem: AnyProblem,
-    path: AnyPath,
+    path: Path,
     memory: Memory,
     control: Float[Array, " steps"],
     state: Any,

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import along, along_each, are_few, direction_of, jacobian
+from jaxwhisker._path.path import Path
 from jaxwhisker._scan.events import events, public_nodes
-from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory, Solutions
+from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory, Solutions
 from jaxwhisker._scan.steps import solved_states, states
 
 
@@ -53,7 +54,7 @@ def state_slopes(
 
 
 def event_slopes(
-    mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, memory: Memory = None, room: int | None = None
+    mechanics: type[Mechanics], problem: AnyProblem, path: Path, memory: Memory = None, room: int | None = None
 ) -> Any:
     """Slopes of all fields of the events by the numbers of the problem and, last, what their node remembers."""
 
@@ -64,9 +65,7 @@ def event_slopes(
     return jacobian(function, (problem.numbers(), _of_one(memory)))
 
 
-def memory_slopes(
-    mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]
-) -> Memory:
+def memory_slopes(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
     """Slopes of what contacts with friction remember, by the numbers of the problem, then by the stops."""
 
     def function(numbers):
@@ -76,12 +75,12 @@ def memory_slopes(
     return jacobian(function, (problem.numbers(), stops))
 
 
-def remember(mechanics: type[Mechanics], problem: AnyProblem, path: AnyPath, stops: Float[Array, " stops"]) -> Memory:
+def remember(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
     """What contacts with friction remember at the nodes of a path, with derivatives."""
     return mechanics.remember(problem, path, jnp.asarray(stops))
 
 
-def _event_places(mechanics: type[Mechanics], path: AnyPath, room: int | None = None) -> Int[Array, " events"]:
+def _event_places(mechanics: type[Mechanics], path: Path, room: int | None = None) -> Int[Array, " events"]:
     nodes = mechanics.event_nodes(path)
     return public_nodes(nodes, path.count, mechanics.event_room(nodes.whiskers.shape[1]) if room is None else room)[1]
 

@@ -101,10 +101,6 @@ class Space(Mechanics):
         return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
 
     @staticmethod
-    def phases(path: Path) -> Int[Array, "nodes whiskers"]:
-        return path.nodes.state.phase
-
-    @staticmethod
     def memory(problem: SpaceProblem, path: Path, stops: Any) -> LinkedNodes | None:
         return None if problem.friction is None else memory_now(Space, problem, path, stops)
 

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of
-from jaxwhisker._path.path import Status
-from jaxwhisker._scan.mechanics import AnyPath, AnyProblem, Mechanics, Memory, Solutions
+from jaxwhisker._path.path import Path, Status
+from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory, Solutions
 
 BATCH = 32  # steps solved for at once
 RESIDUAL = 1e-8  # largest residual of a step marked ok; along x, relative to 1 + |u|
@@ -19,7 +19,7 @@ JUMP = 0.05  # a solution this far from the path's interpolation belongs to anot
 TRAVEL_NOISE = 1e-12  # relative to the length of the path: travels that differ by less are taken as equal
 
 
-def interpolate(path: AnyPath, index: Int[Array, ""], u: Scalar) -> Point:
+def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     """The point of the path at a control between a node and the next one: cubic in arc length."""
     here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
     there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
@@ -55,7 +55,7 @@ def is_near(z: Contacts, guess: Contacts) -> Bool[Array, " steps"]:
 def solve_steps(
     mechanics: type[Mechanics],
     problem: AnyProblem,
-    path: AnyPath,
+    path: Path,
     control: Float[Array, " steps"],
     travel: Float[Array, " steps"],
 ) -> Solutions:
@@ -119,7 +119,7 @@ def kept(values: Any, good: Bool[Array, " rows"]) -> Any:
 def solved_states(
     mechanics: type[Mechanics],
     problem: AnyProblem,
-    path: AnyPath,
+    path: Path,
     control: Float[Array, " steps"],
     travel: Float[Array, " steps"],
     memory: Memory = None,
