@@ -2,7 +2,7 @@
 
 import dataclasses
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol, Self, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -35,6 +35,9 @@ class Target(NamedTuple):
     limit: PerWhisker | None = None  # lean or parameter at which it happens; None without friction and edges
 
 
+Own = TypeVar("Own", bound="MarchState")
+
+
 class MarchState(eqx.Module):
     """State of the march between two iterations; each mechanics adds what it alone knows."""
 
@@ -55,7 +58,7 @@ class MarchState(eqx.Module):
     count: Int[Array, ""]
     status: Int[Array, ""]
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self: Own, **changes: Any) -> Own:
         """The state with other values of these fields."""
         return dataclasses.replace(self, **changes)
 
@@ -69,13 +72,14 @@ class MarchState(eqx.Module):
         kind, state = jnp.asarray(NO_EVENT), self.state
         return Node(point, point.z, tangent, tangent, state, state, travel, kind, nobody, **remembered)
 
-    def stopped(self, status: Status | Int[Array, ""]) -> Self:
+    def stopped(self: Own, status: Status | Int[Array, ""]) -> Own:
         """The state after the march has ended with this status."""
         return self.replace(
             task=jnp.asarray(int(Task.done)), status=jnp.asarray(int(status) if isinstance(status, Status) else status)
         )
 
 
+@runtime_checkable
 class Trial(Protocol):
     """The solved end of a step, and what the march asks about it; each mechanics adds what it alone asks."""
 
