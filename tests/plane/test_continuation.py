@@ -13,6 +13,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.march import STOPS, TRACED_STOPS
 from jaxwhisker._plane.continuation import ContinuationInPlane
 from jaxwhisker._plane.events import Lead
+from jaxwhisker._plane.march_state import TrialInPlane
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +35,7 @@ def test_the_path_leaves_an_event_where_its_lead_grows_and_turns_with_the_drive(
     z = jnp.zeros_like(march.point.z).at[0, 0].set(1.0)
     march = march.replace(lead=Lead(lead * z, jnp.zeros_like(march.pose), jnp.asarray(0.0)))
 
-    class Trial:
-        tangent, tangent_pose = Point(z, jnp.asarray(0.2)), jnp.zeros_like(march.pose)
-
+    trial = TrialInPlane(None, None, Point(z, jnp.asarray(0.2)), jnp.zeros_like(march.pose), *[None] * 7)
     # The drive moves towards smaller u.
-    sign = ContinuationInPlane(problem).leaves(march, Trial, jnp.asarray(direction))
+    sign = ContinuationInPlane(problem).leaves(march, trial, jnp.asarray(direction))
     np.testing.assert_array_equal(sign, -direction * lead)

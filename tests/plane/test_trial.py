@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.point import Point, at_control, scale_of
 from jaxwhisker._equilibrium.solver import Solution
 from jaxwhisker._equilibrium.stance import Stance
 from jaxwhisker._plane.events import AT_STOP, PHASE, RELEASE, TOUCH, VERTEX
-from jaxwhisker._plane.march_state import TrialInPlane
+from jaxwhisker._plane.march_state import Proposed, TrialInPlane
 from jaxwhisker._plane.trial import _direction_of_parabola, dip, evaluate_trial, first_violated
 
 ROUNDING = 1e-12
@@ -132,7 +132,8 @@ def test_a_trial_is_judged_by_its_solution():
         ahead = Point(sign * newton.tangent.z, sign * newton.tangent.u)
         march = march.replace(state=state, point=Point(z, u + 0.01), tangent=ahead, pose=newton.pose + 0.01)
         solution = Solution(Point(z, u), newton, jnp.asarray(True), jnp.asarray(1))
-        trial = evaluate_trial(problem, march, None, solution, u - 0.25, newton.pose)
+        proposed = Proposed(solution.point, None, march.flow)
+        trial = evaluate_trial(problem, march, proposed, solution, u - 0.25, newton.pose)
         return trial, slope_sines(problem, state, z[:, 1])
 
     results = {sign: judged(problem, z, u, jnp.asarray(sign)) for sign in (1.0, -1.0)}
