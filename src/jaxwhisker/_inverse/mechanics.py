@@ -6,7 +6,7 @@ and `space.py` hold the two mechanics. They have no state: programs take these c
 
 import abc
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -88,6 +88,7 @@ class Contacts(NamedTuple):
     covariance: Float[Array, "whiskers numbers numbers"]  # of `InverseMechanics.numbers`
 
 
+@runtime_checkable
 class AnyInstrument(Protocol):
     """A dimensionless sensor."""
 

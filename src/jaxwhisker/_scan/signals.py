@@ -73,7 +73,7 @@ def _residual(
     return problem.if_defined(jnp.max(residuals), here)
 
 
-def beyond_phase(phase: PerWhisker, force: PerWhisker, slack: PerWhisker) -> PerWhisker:
+def beyond_phase(phase: Int[Array, " whiskers"], force: PerWhisker, slack: PerWhisker) -> PerWhisker:
     """How far contacts are beyond their phase: the object only pushes, and the slack has the sign of its phase."""
     return jnp.maximum(-force, jnp.where(phase == Phase.tip, slack, -slack))
 
