@@ -134,7 +134,7 @@ def test_import_loads_what_scans_need():
     # What is done with many scans, and with scenes in space, is loaded on first use.
     code = "import sys, jaxwhisker; print(*{name.split('.')[1] for name in sys.modules if 'jaxwhisker.' in name})"
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert set(run.stdout.split()) == {"_base", "_rod", "_model", "_equilibrium", "_path", "_scan"}
+    assert set(run.stdout.split()) == {"_base", "_rod", "_model", "_equilibrium", "_path", "_plane", "_scan"}
 
 
 def test_programs_are_compiled_once_and_when_they_are_first_needed():

@@ -37,5 +37,5 @@ def test_a_scan_without_friction_remembers_nothing(mechanics, scene):
     assert mechanics.remembered(None, path, solutions) is None
     assert mechanics.at_nodes(None, None) is None
     nodes = mechanics.event_nodes(path)
-    assert mechanics.phases(path).shape == nodes.whiskers.shape
+    assert path.nodes.state.phase.shape == nodes.whiskers.shape
     assert len(jax.tree.leaves(problem.numbers())) > 0

@@ -10,18 +10,15 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
-from jaxwhisker._base.quaternions import Vector
-from jaxwhisker._base.rotation import quaternion_of
 from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Control, Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._rod import rod, space
+from jaxwhisker._rod import rod
 from jaxwhisker._scan.result import AbstractResult, Result, SpaceResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
-from jaxwhisker._space.section import space_section
 
 if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
@@ -86,7 +83,7 @@ def shapes(result: Any, at: Control | None = None, *, points: int = 64) -> Any:
     if checks.is_traced(state):
         state = jax.tree.map(lambda values: values[index], state)
     else:  # NumPy compiles nothing for a new shape
-        state = jax.tree.map(lambda values: np.asarray(values)[index], state)
+        state = jax.tree.map(lambda values: jax.device_put(np.asarray(values)[index]), state)
     control = result.control[index] if checks.is_traced(result.control) else np.asarray(result.control)[index]
     return shapes_of(result.scene, state, control, points=points)
 
@@ -126,6 +123,8 @@ def _shapes_of(
     points: int,
 ) -> Shapes | SpaceShapes:
     in_space = isinstance(state, SpaceState)
+    if in_space:
+        from jaxwhisker._space.shape import centre_line
 
     def lines(state: Any, control: Scalar | None) -> list[tuple[Array, ...]]:
         each: list[Held | None] = [None] * len(whiskers)
@@ -134,7 +133,7 @@ def _shapes_of(
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             at = jax.tree.map(lambda field, k=k: field[k], state)
-            found.append(_line_in_space(whisker, points, at) if in_space else _line(whisker, points, at, own))
+            found.append(centre_line(whisker, points, at) if in_space else _line(whisker, points, at, own))
         return found
 
     for _ in range(state.base_x.ndim - 1):
@@ -154,27 +153,3 @@ def _line(whisker: Whisker, points: int, at: State, held: Held | None) -> tuple[
         end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
     )
     return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
-
-
-def _line_in_space(whisker: Whisker, count: int, at: SpaceState) -> tuple[Array, ...]:
-    """x, y and z of one whisker, integrated from its base: the reaction there is opposite to the object's force."""
-    section, zero = space_section(whisker, 1.0, 1.0), jnp.zeros_like(at.base_x)
-    contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
-    base = jnp.stack([at.base_x, at.base_y, at.base_z])
-    w, x, y, z = quaternion_of(at.base_rotation)
-    loaded = count - count // 3
-    arc = jnp.where(at.phase == Phase.free, whisker.length * (loaded - 1) / (count - 1), at.contact_arc)
-
-    def onwards(start: Any, length: Scalar, force: Vector, intervals: int, from_base: Scalar) -> Any:
-        places = np.linspace(0.0, 1.0, intervals + 1)
-        return space.points(
-            start, -length, space.SpaceLoad(force), section, at=jnp.asarray(places), from_base=from_base
-        )
-
-    # Positions are relative to the contact, about which the force has no moment.
-    start = tuple(base - contact), (w, x, y, z)
-    first = onwards(start, arc, (-at.fx, -at.fy, -at.fz), loaded - 1, zero)
-    end = jax.tree.map(lambda leaf: leaf[-1], first)
-    rest = onwards(end, whisker.length - arc, (zero, zero, zero), count - loaded, arc)
-    line = contact + jnp.concatenate([jnp.stack(first[0], axis=-1), jnp.stack(rest[0], axis=-1)[1:]])
-    return tuple(line.T)

@@ -1,14 +1,21 @@
-"""Shape of whiskers in contact, and whether they meet the object in a second place.
+"""Shape of whiskers in contact and in a state of a scan, and whether they meet the object in a second place.
 
 Without friction, a straight round whisker bends in a plane, away from the object, and touches a strictly convex object
 once. One that is curved, or held by friction, may touch it twice, which is not modelled: a scan ends there.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.quaternions import Vector
+from jaxwhisker._base.rotation import quaternion_of
+from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Path, Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
@@ -16,6 +23,7 @@ from jaxwhisker._rod.space_end import contact_rotation
 from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.section import space_section
 
 LOADED, UNLOADED = 16, 8  # intervals between base and contact, and between contact and tip
 DEPTH = 1e-6  # lengths: shafts that are deeper inside the object touch it in a second place
@@ -75,3 +83,29 @@ def until_second_contact(problem: SpaceProblem, path: Path) -> Path:
         count=jnp.where(some, first, path.count),
         status=jnp.where(some, int(Status.second_contact), path.status),
     )
+
+
+def centre_line(whisker: Whisker, count: int, at: Any) -> tuple[Array, ...]:
+    """x, y and z of one whisker in a state, integrated from its base under the reaction there.
+
+    Two thirds of the points lie between base and contact, and the others beyond; all points of a free whisker are
+    equidistant.
+    """
+    section, zero = space_section(whisker, 1.0, 1.0), jnp.zeros_like(at.base_x)
+    contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
+    base = jnp.stack([at.base_x, at.base_y, at.base_z])
+    w, x, y, z = quaternion_of(at.base_rotation)
+    loaded = count - count // 3
+    arc = jnp.where(at.phase == Phase.free, whisker.length * (loaded - 1) / (count - 1), at.contact_arc)
+
+    def onwards(start: Any, length: Scalar, force: Vector, intervals: int, from_base: Scalar) -> Any:
+        places = np.linspace(0.0, 1.0, intervals + 1)
+        return points(start, -length, SpaceLoad(force), section, at=jnp.asarray(places), from_base=from_base)
+
+    # Positions are relative to the contact, about which the force has no moment.
+    start = tuple(base - contact), (w, x, y, z)
+    first = onwards(start, arc, (-at.fx, -at.fy, -at.fz), loaded - 1, zero)
+    end = jax.tree.map(lambda leaf: leaf[-1], first)
+    rest = onwards(end, whisker.length - arc, (zero, zero, zero), count - loaded, arc)
+    line = contact + jnp.concatenate([jnp.stack(first[0], axis=-1), jnp.stack(rest[0], axis=-1)[1:]])
+    return tuple(line.T)
