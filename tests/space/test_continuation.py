@@ -124,6 +124,17 @@ def test_with_friction_stability_is_lost_where_the_drive_turns():
     assert np.isinf(margins(FREE, grip=0.2, onwards=-0.1)[LOSS])
 
 
+def test_a_stop_in_the_same_step_as_a_touch_is_not_overlooked():
+    """Margins of a contact that begins vanish where it does; that of the drive does not."""
+    touches = jnp.array([True])
+    march = SimpleNamespace(target=SimpleNamespace(number=jnp.asarray(TOUCH), whiskers=touches))
+    for friction in (None, 0.3):
+        mechanics = continuation_of(SimpleNamespace(friction=friction))
+        solved = mechanics.solved_margins(march, touches, jnp.asarray(0.1))
+        assert not solved[AT_STOP].any()
+        assert all(own.all() for kind, own in enumerate(solved) if kind != AT_STOP)
+
+
 def test_a_default_scan_ends_shortly_after_the_release():
     scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)), motion=jw.LinearDrive((-1.0, 0.0, 0.0)))
     result = jw.scan(scene)
