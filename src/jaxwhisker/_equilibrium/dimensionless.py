@@ -28,7 +28,7 @@ def problem_of(scene: Scene | CanonicalScene) -> Problem:
     """The dimensionless problem of a scene, differentiable with respect to all numbers of the scene."""
     if isinstance(scene, Scene):
         scene = canonical(scene)
-    valid = _valid(scene)
+    valid = is_valid(scene)
     scene = safe_placeholder(scene, valid)
     unit = jax.tree.map(checks.as_float, units_of(scene.whiskers[0], scene.motion))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
@@ -159,7 +159,7 @@ def stacked_or_each(each: list[Any]) -> Any:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
 
 
-def _valid(scene: CanonicalScene) -> Bool[Array, ""]:
+def is_valid(scene: CanonicalScene) -> Bool[Array, ""]:
     """Whether traced parameters are in the domains that the constructors check for concrete ones."""
     whiskers = jnp.all(jnp.stack([whisker.valid() for whisker in scene.whiskers]))
     valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers

@@ -156,6 +156,11 @@ class AbstractProfile(eqx.Module):
         """Parameters of the first and the last point that may be nearest to a whisker: beyond the ends if closed."""
         return self.ends()
 
+    def around(self, x: Scalar, y: Scalar, reach: Scalar) -> tuple[Scalar, Scalar]:
+        """A range of parameters, within the span, of all points at most this far from (x, y)."""
+        del x, y, reach
+        return self.span()
+
     def lowest(self) -> Scalar:
         """The parameter of the object's lowest point."""
         return self.at_slope(0.0)

@@ -63,6 +63,11 @@ class Graph(AbstractProfile):
     def ends(self):
         return -self.extent / self._unit, self.extent / self._unit
 
+    def around(self, x, y, reach):
+        del y
+        low, high = self.ends()
+        return jnp.clip(x - self.position - reach, low, high), jnp.clip(x - self.position + reach, low, high)
+
     def at_slope(self, slope):
         def angle(x):
             # The unit tangent would not do: far out, the square of g' may overflow.
@@ -172,6 +177,11 @@ class Tilted(AbstractProfile):
 
     def span(self):
         return self.profile.span()
+
+    def around(self, x, y, reach):
+        about_x, about_y = self.about
+        cos, sin, right, up = jnp.cos(self.angle), jnp.sin(self.angle), x - about_x, y - about_y
+        return self.profile.around(about_x + right * cos + up * sin, about_y - right * sin + up * cos, reach)
 
     def first_touch(self, height, side):
         return self._climbed(height, side, self.ends(), lambda at: at.cos > 0)  # up to where the object is widest

@@ -44,6 +44,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
 DETECTABLE = ("second_contact", "crossing")
+MOST_CONTACTS = 8
 
 
 def _as_names(value: Any) -> Any:
@@ -71,6 +72,8 @@ class _OfObject(type(eqx.Module)):
 
             if (detect := kwargs.pop("detect", None)) is not None:
                 checks.fail("detect", "None in space", repr(detect))
+            if (contacts := kwargs.pop("contacts", 1)) != 1:
+                checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
 
@@ -96,6 +99,10 @@ class Scene(AbstractScene, metaclass=_OfObject):
             whisker meets an object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
             tuple of these; () detects nothing. Default: "second_contact". A scene in which no contact of this kind
             can occur, such as that of a straight whisker before one object, needs no search.
+        contacts: largest number of contacts of one whisker. With more than 1, whiskers may touch several objects at
+            once, and concave ones, and one object in several places; contact fields of results then have a last axis
+            of contacts, from the tip to the base. Each scan takes longer, about in proportion. Not available with
+            friction, with springs on shafts, and for objects with edges.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -113,6 +120,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
     motion: AbstractMotion = Translation()
     friction: Scalar | None = None
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
+    contacts: int = eqx.field(static=True, default=1)
 
     def __post_init__(self):
         self.support = in_row(self.whisker, self.support)
@@ -136,6 +144,25 @@ class Scene(AbstractScene, metaclass=_OfObject):
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
             checks.fail("detect", allowed, repr(self.detect))
+        checks.count("contacts", self.contacts)
+        if self.contacts > 1:
+            self._check_several()
+
+    def _check_several(self):
+        """Check that all parts of a scene with several contacts of one whisker are modelled."""
+        if self.contacts > MOST_CONTACTS:
+            checks.fail("contacts", f"at most {MOST_CONTACTS}", repr(self.contacts))
+        unknown = (
+            (self.friction is not None, "friction", "None with several contacts of one whisker"),
+            (self.support.on_shafts, "support", "without springs or foundations on shafts for several contacts"),
+            (not isinstance(self.rod, Shooting), "rod", "Shooting() for several contacts"),
+            (self.profile.has_edges, "profile", "without edges for several contacts"),
+            ("crossing" in (self.detect or ()), "detect", 'without "crossing" for several contacts'),
+        )
+        for is_there, name, allowed in unknown:
+            if is_there:
+                value = getattr(self, name)
+                checks.fail(name, allowed, repr(value) if name == "detect" else str(value))
 
     @property
     def detects(self) -> tuple[str, ...]:
@@ -147,7 +174,8 @@ class Scene(AbstractScene, metaclass=_OfObject):
         detect = ", detects " * bool(self.detect) + " and ".join(self.detect or ()).replace("_", " ")
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
-        return f"{support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}"
+        contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
+        return f"{support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}{contacts}"
 
     __repr__ = __str__
 

@@ -32,6 +32,7 @@ class Status(NamedInt):
     second_contact = 9  # a whisker has met the object in a second place; see `Scene.detects`
     crossing = 10  # two whiskers have crossed; see `Scene.detects`
     at_spring = 11  # a contact has reached a spring or a foundation on its shaft
+    too_many_contacts = 12  # a whisker has more contacts than the scene has room for; see `Scene(contacts=)`
 
 
 class EventKind(NamedInt):

@@ -18,6 +18,7 @@ from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
     ABSENT_IN_SPACE,
     ASSUMED,
+    CONTACT,
     CONTROL,
     DIRECTORS,
     QUANTITIES,
@@ -28,6 +29,7 @@ from jaxwhisker._scan.quantities import (
     in_space,
     is_dimensionless,
     unit_in_words,
+    with_contacts,
 )
 from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, IN_SPACE, OBJECTS
 
@@ -82,6 +84,7 @@ class SceneLayout(NamedTuple):
     dimensionless: bool  # the first whisker's length and bending stiffness are 1
     sizes: dict[str, float]  # typical force and length, unless dimensionless; empty if unknown
     in_space: bool = False
+    contacts: int = 1  # of one whisker at most
 
     def attributes(self, name: str, quantity: Quantity) -> dict[str, Any]:
         """Attributes of a variable: long name, units, and the meaning of a positive sign and of flags."""
@@ -106,7 +109,8 @@ class SceneLayout(NamedTuple):
         """Coordinates along the control, and along whiskers and springs if these are among the dimensions."""
         units = unit_in_words(self.control_kind, self.dimensionless)
         found: dict[str, tuple] = {"control": ("control", control, {"long_name": self.control_name, "units": units})}
-        for dim, size in (("whisker", self.whiskers), ("spring", len(self.springs))):
+        sizes = ("whisker", self.whiskers), ("spring", len(self.springs)), (CONTACT, self.contacts)
+        for dim, size in sizes:
             if dim in dimensions:
                 found[dim] = (dim, np.arange(1, size + 1), {"long_name": f"number of the {dim}", "units": "1"})
         if "spring" in dimensions:
@@ -145,7 +149,8 @@ def layout_of(scene: AbstractScene) -> SceneLayout:
         natural = natural_units(scene)
         sizes = {"force": float(natural.force), "length": float(natural.length)}
     own = str(scene), scene.support.whiskers, springs
-    return SceneLayout(*own, *control, absent, dimensionless, sizes, scene.in_space)
+    contacts = scene.contacts if isinstance(scene, Scene) else 1
+    return SceneLayout(*own, *control, absent, dimensionless, sizes, scene.in_space, contacts)
 
 
 def in_shown_units(data: Any, attributes: Mapping[str, Any]) -> Any:
@@ -193,7 +198,11 @@ def scan_dataset(scene: AbstractScene, arrays: Mapping[str, Any]) -> "xr.Dataset
         raise ImportError("`to_xarray` needs xarray: pip install jaxwhisker[study]") from error
     layout, arrays = layout_of(scene), {name: np.asarray(array) for name, array in arrays.items()}
     variables = {
-        name: (quantity.axes, arrays[name].astype(quantity.dtype), layout.attributes(name, quantity))
+        name: (
+            with_contacts(name, quantity, layout.contacts).axes,
+            arrays[name].astype(quantity.dtype),
+            layout.attributes(name, quantity),
+        )
         for name, quantity in VARIABLES.items()
         if name in arrays
     }

@@ -36,7 +36,7 @@ class EventTable(NamedTuple):
 
 def event_table(mechanics: type[Mechanics], problem: AnyProblem, path: Path, memory: Memory = None) -> EventTable:
     """The events of a path. `memory` is what contacts with friction remember, with its derivatives."""
-    nodes = mechanics.event_nodes(path)
+    nodes = mechanics.event_nodes(problem, path)
     public, at = public_nodes(nodes, path.count, mechanics.event_room(nodes.whiskers.shape[1]))
     filled = jnp.arange(at.size) < jnp.sum(public)
     control, lost = mechanics.event_controls(problem, path, memory, at, filled)
@@ -55,7 +55,7 @@ def events(
     mechanics: type[Mechanics], problem: AnyProblem, path: Path, memory: Memory = None, room: int | None = None
 ) -> Any:
     """The events of a path. `memory` is what contacts with friction remember, with its derivatives."""
-    nodes = mechanics.event_nodes(path)
+    nodes = mechanics.event_nodes(problem, path)
     size = mechanics.event_room(nodes.whiskers.shape[1]) if room is None else room
     public, at = public_nodes(nodes, path.count, size)
     count = jnp.sum(public)

@@ -136,7 +136,7 @@ class Mechanics(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def event_nodes(path: Path) -> Any:
+    def event_nodes(problem: AnyProblem, path: Path) -> Any:
         """The nodes of a path, with all events that happen there."""
 
     @staticmethod

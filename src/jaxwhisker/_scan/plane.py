@@ -164,7 +164,7 @@ class Plane(Mechanics):
         return signals(problem, *side)
 
     @staticmethod
-    def event_nodes(path: Path) -> Node:
+    def event_nodes(problem: Problem, path: Path) -> Node:
         return path.nodes
 
     @staticmethod

@@ -84,6 +84,9 @@ STATE = {
     # With several objects only:
     "contact_object": Quantity("number of the object, 0 without contact", "", "number", _STEP, dtype="int8"),
 }
+# Fields of a state that belong to contacts. If a whisker may have several, they have a further axis, from the tip on.
+OF_CONTACTS = ("contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y", "phase", *OBJECTS)
+CONTACT = "contact"  # this axis
 QUANTITIES = (
     {"control": Quantity("drive position", "u", CONTROL, ("control",))}
     | STATE
@@ -130,6 +133,13 @@ DRAWN_IN_SPACE = (*(name for name in STATE if name not in _NOT_DRAWN_IN_SPACE), 
 def quantity(name: str) -> Quantity:
     """The quantity of a scan or a simulation with this name."""
     return (QUANTITIES | MOTION | DERIVED)[name]
+
+
+def with_contacts(name: str, quantity: Quantity, contacts: int) -> Quantity:
+    """The quantity with this name, also before or after an event, of whiskers that may have so many contacts."""
+    plain = name.removeprefix("before_").removeprefix("after_")
+    several = contacts > 1 and plain in OF_CONTACTS
+    return quantity._replace(axes=(*quantity.axes, CONTACT)) if several else quantity
 
 
 def in_space(quantity: Quantity) -> Quantity:

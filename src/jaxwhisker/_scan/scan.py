@@ -101,11 +101,15 @@ def scan_across(scene: AbstractScene, steps: int) -> Any:
 
 def mechanics_of(scene: AbstractScene) -> type[Mechanics]:
     """The mechanics of a scene."""
-    return mechanics_in(space=not isinstance(scene, Scene))
+    return mechanics_in(space=scene.in_space, contacts=scene.contacts if isinstance(scene, Scene) else 1)
 
 
-def mechanics_in(*, space: bool) -> type[Mechanics]:
-    """The mechanics of the plane, or of space, which is only loaded if it is needed."""
+def mechanics_in(*, space: bool, contacts: int) -> type[Mechanics]:
+    """The mechanics of the plane, of several contacts there, or of space; the last two are loaded if they are needed."""
+    if contacts > 1:
+        from jaxwhisker._scan.chain import Chain
+
+        return Chain
     if not space:
         return Plane
     from jaxwhisker._scan.space import Space

@@ -80,8 +80,10 @@ def remember(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops:
     return mechanics.remember(problem, path, jnp.asarray(stops))
 
 
-def _event_places(mechanics: type[Mechanics], path: Path, room: int | None = None) -> Int[Array, " events"]:
-    nodes = mechanics.event_nodes(path)
+def _event_places(
+    mechanics: type[Mechanics], problem: AnyProblem, path: Path, room: int | None = None
+) -> Int[Array, " events"]:
+    nodes = mechanics.event_nodes(problem, path)
     return public_nodes(nodes, path.count, mechanics.event_room(nodes.whiskers.shape[1]) if room is None else room)[1]
 
 
@@ -124,7 +126,7 @@ def event_tangents(args, args_dot, _):
     direction = direction_of(numbers, problem_dot.numbers())
     if memory is None:
         return along(slopes, direction)
-    at = _event_places_now(mechanics, path, *room)
+    at = _event_places_now(mechanics, problem, path, *room)
     return along_each(slopes, direction, jax.tree.leaves(mechanics.at_nodes(_filled(memory, memory_dot), at)))
 
 

@@ -165,7 +165,7 @@ class Space(Mechanics):
         return EVENTS * whiskers
 
     @staticmethod
-    def event_nodes(path: Path) -> Node:
+    def event_nodes(problem: SpaceProblem, path: Path) -> Node:
         return with_turns(path)
 
     @staticmethod

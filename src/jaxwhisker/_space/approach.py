@@ -9,13 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.continuation import Limits
-from jaxwhisker._path.path import Path
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import clearance, leaves
 
-MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
 REACH = 2.0  # lengths of the longest whisker
 HIGHEST_FORCE = 100.0  # EI/L^2 on every base, and the moment in EI/L; forces before a release hardly ever reach it
 DISTANCES = tuple(2.0**k for k in range(8))  # lengths
@@ -63,21 +60,3 @@ def _clear_of(problem: SpaceProblem, u: Float[Array, ""], way: Array, least: Arr
 
     clear = jax.vmap(is_clear)(places)
     return jnp.where(jnp.any(clear), places[jnp.argmax(clear)], places[-1])
-
-
-def crop(
-    problem: SpaceProblem, path: Path, limits: Limits, whole: Array
-) -> tuple[Path, Float[Array, ""], Float[Array, ""]]:
-    """The path, and the first and last control at which whiskers touch on it, with a margin."""
-    nodes = path.nodes
-    known = jnp.any(nodes.state.phase != Phase.free, axis=1) | (nodes.kind >= 0)
-    known &= jnp.arange(nodes.kind.shape[0]) < path.count
-    way = problem.onwards * nodes.point.u
-    some = jnp.any(known)
-    first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, problem.onwards * limits.start)
-    last = jnp.where(some, jnp.max(jnp.where(known, way, -jnp.inf)) + MARGIN, problem.onwards * limits.far)
-    first = jnp.maximum(first, problem.onwards * limits.start)
-    last = jnp.minimum(last, problem.onwards * limits.far)
-    start, stop = problem.onwards * first, problem.onwards * last
-    travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
-    return path._replace(nodes=nodes._replace(travel=travel)), start, stop

@@ -10,12 +10,13 @@ from jaxtyping import Array, Bool
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, dot, scale_of, unit
+from jaxwhisker._path.approach import crop
 from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoint, WaysOn
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Margins, first_crossed, first_dip
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, select
 from jaxwhisker._path.transitions import FIRST_STEP
-from jaxwhisker._space.approach import crop, limits_of
+from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.flow import FIRST_TIME, after_flow, clinging, sliding
 from jaxwhisker._space.free import Nearest
@@ -61,7 +62,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         return limits_of(self.problem, first_stop)
 
     def crop(self, path, whole, limits):
-        return crop(self.problem, path, limits, whole)
+        return crop(self.problem.onwards, path, limits, whole)
 
     def checked(self, path):
         return until_second_contact(self.problem, path)

@@ -7,7 +7,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._scan.dataset import VARIABLES, SceneLayout
-from jaxwhisker._scan.quantities import DIRECTORS, REACTIONS_IN_SPACE, STATE, Quantity, unit_in_words
+from jaxwhisker._scan.quantities import (
+    CONTACT,
+    DIRECTORS,
+    REACTIONS_IN_SPACE,
+    STATE,
+    Quantity,
+    unit_in_words,
+    with_contacts,
+)
 from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, IN_SPACE, OBJECTS, OPTIONAL
 from jaxwhisker._study.parameters import Parameters
 from jaxwhisker._study.summary import comment_on, derivative_in_words, derivative_name, summary_without
@@ -62,13 +70,14 @@ def variables_of(
     summarised: bool,
     absent: Sequence[str] = OPTIONAL,
     channels: Sequence[str] = (),
+    contacts: int = 1,
 ) -> dict[str, Quantity]:
     """The variables of a study; those along the control, except for channels, are left out if they are summarised.
 
     Raises:
         ValueError: if `outputs` contains a name that is unknown, or one that the scenes do not have.
     """
-    kept = {name: VARIABLES[name] for name in chosen(outputs, absent)}
+    kept = {name: with_contacts(name, VARIABLES[name], contacts) for name in chosen(outputs, absent)}
     for name in (outputs,) if isinstance(outputs, str) else outputs:
         if name in VARIABLES and name not in kept:
             lack = next((one for one, fields in LACKS if field_of(name) in fields <= set(absent)), f"{name} in space")
@@ -113,7 +122,7 @@ class Layout(NamedTuple):
     def sizes(self) -> dict[str, int]:
         """Sizes of the dimensions that follow those of the points."""
         own = {"control": self.control.size, "event": self.events} | {dim: len(DIRECTORS[dim]) for dim in DIRECTORS}
-        return own | {"whisker": self.scene.whiskers, "spring": len(self.scene.springs)}
+        return own | {"whisker": self.scene.whiskers, "spring": len(self.scene.springs), CONTACT: self.scene.contacts}
 
     def dims(self, name: str) -> tuple[str, ...]:
         """Dimensions of a variable."""

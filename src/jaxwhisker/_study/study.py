@@ -16,7 +16,7 @@ from jaxwhisker._base.types import Control
 from jaxwhisker._model.scene import AbstractScene
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.dataset import VARIABLES, omitted_events, points_in_words
-from jaxwhisker._scan.quantities import Quantity
+from jaxwhisker._scan.quantities import Quantity, with_contacts
 from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.scan import mechanics_in
 from jaxwhisker._study.compute import Job, Kernel, common_control, compute_here, compute_on_cluster
@@ -108,7 +108,7 @@ def study(
     if channels is not None:
         names, code = channels_of(channels, build, sampled(parameters))
         layout = layout._replace(build=f"{layout.build}, channels {code}")
-    variables = variables_of(outputs, derivatives, summary, layout.scene.absent, names)
+    variables = variables_of(outputs, derivatives, summary, layout.scene.absent, names, layout.scene.contacts)
     _check_names(parameters, variables, names)
     layout = layout._replace(variables=variables)
     summarised = chosen(SUMMARISED, layout.scene.absent) if summary else ()
@@ -123,7 +123,7 @@ def study(
         job = Job(build, arguments, layout.control, computed, derivatives, summary, kept, channels, names)
         kernel = Kernel(job)
         if any(VARIABLES[name].axes[:1] == ("event",) for name in computed):
-            mechanics = mechanics_in(space=layout.scene.in_space)
+            mechanics = mechanics_in(space=layout.scene.in_space, contacts=layout.scene.contacts)
             layout = layout._replace(events=mechanics.event_room(layout.scene.whiskers))
         _compute(kernel, target, layout, blocks, client, visible)
         return _finished(target, build, layout, visible)
@@ -179,8 +179,9 @@ def _planned(
     """The layout with its control, and blocks that fit into memory."""
     if layout.default_control:
         layout = layout._replace(control=common_control(build, layout.parameters, layout.scene.onwards))
-    slopes = {derivative_name(name, parameter): VARIABLES[name] for name in computed for parameter in derivatives}
-    held = {name: VARIABLES[name] for name in computed} | slopes | layout.variables
+    fields = {name: with_contacts(name, VARIABLES[name], layout.scene.contacts) for name in computed}
+    slopes = {derivative_name(name, parameter): own for name, own in fields.items() for parameter in derivatives}
+    held = fields | slopes | layout.variables
     workers = threads() if client is None else 1
     return layout, blocks_of(layout.parameters.shape, layout.sizes, held.values(), memory, workers)
 

@@ -1,0 +1,57 @@
+"""Where a scan of whiskers with several contacts begins, and where it ends if nothing happens.
+
+If the unloaded whiskers are clear of all objects at the first position of the control, the scan starts there: also inside
+a hollow. If not, the drive comes from afar along its line.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.stance import stance_of
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.continuation import Limits
+
+CLEAR = 1e-9  # lengths: distance of whiskers that are clear of an object
+HIGHEST_FORCE = 100.0  # EI/L^2 on every base; forces before a release hardly ever reach it
+REACH = 2.0  # lengths of the longest whisker from the object at which loaded ones have come free, too
+PLACES = np.concatenate([0.05 * np.arange(120), 6.0 * 1.1 ** np.arange(32)])  # distances on the way, in lengths
+
+
+def all_free(problem: ChainProblem) -> tuple[Float[Array, "rows 3"], ChainState]:
+    """The contacts of free whiskers."""
+    rows = problem.rows
+    return jnp.zeros((rows, 3)), ChainState(jnp.full(rows, int(Phase.free)), jnp.ones(rows), jnp.zeros(rows, int))
+
+
+def is_clear(problem: ChainProblem, u: Scalar) -> Bool[Array, ""]:
+    """Whether unloaded whiskers are clear of all objects."""
+    return jnp.all(stance_of(problem, u, problem.rest, *all_free(problem)).distance > CLEAR)
+
+
+def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
+    """The limits of a scan to a first stop, or right across the object if that is NaN."""
+    whole = jnp.isnan(first_stop)
+    if problem.ends is not None:
+        first, last = problem.ends
+        late = problem.onwards * (first_stop - first) > 0
+        return Limits(jnp.where(whole | late, first, first_stop), last, last)
+    base = problem.in_scene(jnp.zeros(()), problem.rest)
+    middle = jnp.where(whole, problem.profile.vertex()[0] - jnp.mean(base.x), first_stop)
+
+    def outermost(way):
+        """The place beyond the last one at which whiskers are not clear."""
+        clear = jax.lax.map(lambda d: is_clear(problem, middle + way * d), jnp.asarray(PLACES), batch_size=16)
+        last = jnp.max(jnp.where(clear, -1, jnp.arange(PLACES.size)))
+        return middle + way * jnp.asarray(PLACES)[jnp.minimum(last + 1, PLACES.size - 1)]
+
+    onwards = problem.onwards.astype(float)
+    softness = jnp.max(jnp.abs(problem.displacement(jnp.full_like(problem.rest, HIGHEST_FORCE).at[:, 1:].set(0.0))))
+    far = outermost(onwards) + onwards * (REACH * jnp.max(problem.length) + softness)
+    here = ~whole & is_clear(problem, middle)
+    start = jnp.where(here, middle, outermost(-onwards))
+    return Limits(start, far, far)

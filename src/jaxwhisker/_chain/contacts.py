@@ -1,0 +1,159 @@
+"""One whisker and its contacts: a chain of elastica segments, each from one contact towards the base to the next.
+
+A contact is described by z = (force, parameter, slack): the magnitude f >= 0 of the contact force, the parameter of the
+object's profile, and the slack. At the tip, the slack is negative: minus the angle between the whisker and the object's
+tangent. Elsewhere it is positive: the arc length of the whisker beyond the contact. Contacts are ordered from the tip to
+the base, and places that are not used follow. Only the outermost contact may be at the tip.
+
+Between two contacts nothing acts on the whisker. The internal force is therefore the sum R of the contact forces beyond,
+and the moment is known wherever the shaft passes:
+
+    EI (kappa - kappa0) = A - x R_y + y R_x,    A = sum of (c_x F_y - c_y F_x) over the contacts c beyond.
+
+Each segment is integrated from the contact itself. At its other end, it must meet the next contact and be parallel to the
+object there, or it ends at the base.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._equilibrium.contact import (
+    FORCE,
+    PARAMETER,
+    SLACK,
+    Base,
+    Phase,
+    WhiskerAtObject,
+    in_base_frame,
+    material_of,
+)
+from jaxwhisker._model.profile import ContactPoint
+from jaxwhisker._rod import rod
+from jaxwhisker._rod.rod import Load, RodState, Section, moment
+
+PerContact = Float[Array, "*batch contacts"]
+
+MORE_STEPS = 1.5  # steps of a segment, relative to those of a whole rod: they are shorter near its ends
+
+
+class ChainState(NamedTuple):
+    """How each contact touches: of one whisker, or of all whiskers one after the other."""
+
+    phase: Int[Array, "*batch contacts"]
+    side: (
+        PerContact  # +1 where the whisker runs along the object's tangent from base to tip, -1 where it runs against it
+    )
+    piece: Int[Array, "*batch contacts"]  # of the profile
+
+    @property
+    def touches(self) -> Bool[Array, "*batch contacts"]:
+        """Whether the places are used."""
+        return self.phase != Phase.free
+
+
+class Chain(NamedTuple):
+    """A whisker from its contacts on; fields (contacts, ...)."""
+
+    contact: ContactPoint
+    beyond: PerContact  # arc length of the whisker beyond the contact; all of it for places that are not used
+    start: RodState
+    load: Load  # on the segment
+    arc: PerContact  # length of the segment
+
+
+def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> Chain:
+    """The segments of a whisker with these contacts, and the loads on them."""
+    touches, placeholder = state.touches, body.profile.placeholder_parameter
+    assert placeholder is not None
+    piece = jnp.where(touches, state.piece, 0)
+    parameter = jnp.where(touches, z[:, PARAMETER], placeholder[0])
+    at = jax.vmap(body.profile.point_on)(piece, parameter)
+    tip = state.phase == Phase.tip
+    angle = jnp.where(tip, -z[:, SLACK], 0.0)
+    beyond = jnp.where(touches, jnp.where(tip, 0.0, z[:, SLACK]), body.length)
+    cos, sin = state.side * jnp.cos(angle), jnp.sin(angle)
+    direction = at.cos * cos - at.sin * sin, at.sin * cos + at.cos * sin
+    force = jnp.where(touches, z[:, FORCE], 0.0)
+    fx, fy = force * at.sin, -force * at.cos
+    load = Load(jnp.cumsum(fx), jnp.cumsum(fy), jnp.cumsum(at.x * fy - at.y * fx))
+    arc = jnp.append(beyond[1:], body.length) - beyond
+    return Chain(at, beyond, (at.x, at.y, *direction), load, arc)
+
+
+def step_count(body: WhiskerAtObject) -> int:
+    """Number of integration steps of a segment."""
+    steps = int(np.ceil(MORE_STEPS * getattr(body.rod, "steps", 8)))
+    return steps if body.section is None else 2 * steps
+
+
+def fractions(steps: int) -> np.ndarray:
+    """Ends of the integration steps of a segment, closer together near its ends, where new contacts begin."""
+    return (1 - np.cos(np.pi * np.arange(steps + 1) / steps)) / 2
+
+
+def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, from_base: Array) -> RodState:
+    """States at the ends of all integration steps of some segments; fields (segments, points)."""
+    material, times = material_of(body), jnp.asarray(fractions(step_count(body)))
+
+    def one(start, load, arc, from_base):
+        at = times
+        if isinstance(material, Section):
+            at = rod.graded(times, material.stiffness(from_base), material.stiffness(from_base - arc))
+        return rod.points(start, arc, load, material, at=at, from_base=from_base)
+
+    return jax.vmap(one)(starts, loads, arcs, from_base)
+
+
+def ends_of(body: WhiskerAtObject, chain: Chain) -> RodState:
+    """States at the ends of all segments; fields (contacts,)."""
+    states = segments(body, chain.start, chain.load, chain.arc, body.length - chain.beyond)
+    return jax.tree.map(lambda leaf: leaf[:, -1], states)
+
+
+class ChainEquations(NamedTuple):
+    """What enters the equations of a whisker."""
+
+    own: Float[Array, "contacts 3"]  # residuals, but in the row of the last contact the pose of the base in its frame
+    load: Float[Array, "3"]  # on the base, in its frame: force x, force y, moment
+    base: Base
+    backwards: Bool[Array, ""]  # whether the whisker runs the wrong way at a contact
+    chain: Chain
+
+
+def last_contact(touches: Bool[Array, " contacts"]) -> Bool[Array, " contacts"]:
+    """One-hot: the contact that is nearest to the base; none of a free whisker."""
+    return touches & ~jnp.append(touches[1:], False)
+
+
+def equations(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> ChainEquations:
+    """The equations of a whisker with these contacts."""
+    chain = chain_of(body, z, state)
+    x, y, cos, sin = ends_of(body, chain)
+    at, last = chain.contact, last_contact(state.touches)
+
+    def at_next(values: Array) -> Array:
+        return jnp.roll(values, -1)
+
+    side = at_next(state.side)
+    along_cos, along_sin = side * at_next(at.cos), side * at_next(at.sin)
+    meets = jnp.stack([x - at_next(at.x), y - at_next(at.y), along_cos * sin - along_sin * cos], axis=1)
+    inner = state.touches & ~last
+    backwards = jnp.any(inner & (along_cos * cos + along_sin * sin <= 0))
+
+    def of_last(values: Array) -> Array:
+        return jnp.sum(jnp.where(last, values, 0.0))
+
+    load = Load(*(of_last(jnp.asarray(part)) for part in (chain.load.force_x, chain.load.force_y, chain.load.moment)))
+    at_base = *map(of_last, (x, y, cos)), jnp.where(jnp.any(last), of_last(sin), 1.0)  # of a free whisker, upright
+    bend = jnp.asarray(moment(at_base[0], at_base[1], load))
+    zero = jnp.zeros(())
+    base = Base(*at_base, jnp.asarray(load.force_x), jnp.asarray(load.force_y), bend, zero, zero, zero, zero)
+    in_frame = in_base_frame(body, base)
+    pose = jnp.stack([in_frame.x, in_frame.y, in_frame.turn])
+    own = jnp.where(last[:, None], pose, jnp.where(inner[:, None], meets, z))
+    on_base = jnp.stack([in_frame.force_x, jnp.asarray(in_frame.force_y), jnp.asarray(in_frame.moment)])
+    return ChainEquations(own, jnp.where(jnp.any(last), on_base, 0.0), base, backwards, chain)

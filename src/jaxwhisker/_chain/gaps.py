@@ -1,0 +1,153 @@
+"""Gaps between a shaft and objects, and the contacts that begin where they close.
+
+Along the shaft, the gap to an object has a minimum at each contact. All other minima are candidates for a new contact,
+and so is the tip. Minima lie where the rate of the gap along the shaft changes its sign; the lowest one of each object
+is then solved for.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.interpolation import Cubic
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.shaft import Shaft, cell_of
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.objects import Objects
+from jaxwhisker._model.profile import AbstractProfile, ContactPoint
+
+FAR = jnp.inf
+TABLE = 96  # points of an object from which the nearest one is looked for
+NEAREST_STEPS = 3
+ENDS = 2e-4  # share of an outline that is left out at both ends
+LOWEST_STEPS = 4
+
+
+class Candidate(NamedTuple):
+    """A contact that would begin if its gap closed; fields (*batch,)."""
+
+    gap: Float[Array, "*batch"]  # negative inside
+    numbers: Float[Array, "*batch 3"]  # of the contact that would begin, without force
+    phase: Int[Array, "*batch"]
+    side: Float[Array, "*batch"]
+    piece: Int[Array, "*batch"]
+
+
+class Gaps(NamedTuple):
+    """The candidates of a whisker, and its distance from the objects."""
+
+    candidates: Candidate  # fields (candidates,)
+    distance: Scalar  # least distance of any point from any object; of touching whiskers, of candidates only
+
+
+def gaps_of(profile: Objects, shaft: Shaft, reach: Scalar) -> Gaps:
+    """The candidates for new contacts of a shaft, two for each object: on the shaft, and at the tip.
+
+    `reach` is the length of the whisker.
+    """
+    each, nearest = [], []
+    for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
+        candidates, distance = _of_smooth(one, first, shaft, reach)
+        each += candidates
+        nearest.append(distance)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    return Gaps(stacked, jnp.min(jnp.stack(nearest)))
+
+
+class Outline(NamedTuple):
+    """Points of a smooth object, from which the nearest one to a point is looked for."""
+
+    parameters: Float[Array, " table"]
+    x: Float[Array, " table"]
+    y: Float[Array, " table"]
+    spacing: Scalar
+
+
+def outline_of(one: AbstractProfile, x: Scalar, y: Scalar, reach: Scalar) -> Outline:
+    """Points of an object that may be within reach of a point."""
+    low, high = one.around(x, y, reach)
+    # Where a closed outline ends, conic sections lose their digits.
+    low, high = low + ENDS * (high - low), high - ENDS * (high - low)
+    parameters = low + (high - low) * jnp.asarray(np.arange(TABLE + 1) / TABLE)
+    at = jax.vmap(one.point)(parameters)
+    return Outline(parameters, at.x, at.y, (high - low) / TABLE)
+
+
+def nearest(one: AbstractProfile, outline: Outline, x: Scalar, y: Scalar) -> Scalar:
+    """The parameter of the point of an object that is nearest to a point close to it."""
+    apart = (outline.x - x) ** 2 + (outline.y - y) ** 2
+    start, spacing = outline.parameters[jnp.argmin(jnp.where(jnp.isfinite(apart), apart, jnp.inf))], outline.spacing
+
+    def step(_, p):
+        at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
+        speed = rate.x * at.cos + rate.y * at.sin
+        slope = -speed + (x - at.x) * rate.cos + (y - at.y) * rate.sin
+        # Far inside a hollow, or beyond a crest, this is not the nearest point.
+        slope = jnp.where(slope < -0.1 * speed, slope, -speed)
+        p = jnp.clip(p - at.along(x, y) / slope, start - spacing, start + spacing)
+        return jnp.clip(p, outline.parameters[0], outline.parameters[-1])
+
+    return jax.lax.fori_loop(0, NEAREST_STEPS, step, start)
+
+
+def _of_smooth(one: AbstractProfile, first: int, shaft: Shaft, reach: Scalar) -> tuple[list[Candidate], Scalar]:
+    outline = outline_of(one, shaft.x[-1, -1], shaft.y[-1, -1], 1.5 * reach)
+    spacing = outline.spacing
+    found = jax.vmap(jax.vmap(lambda x, y: nearest(one, outline, x, y)))(shaft.x, shaft.y)
+    at = jax.vmap(jax.vmap(one.point))(found)
+    gap = jax.vmap(jax.vmap(ContactPoint.off))(at, shaft.x, shaft.y)
+    # By the arc length towards the base.
+    rate = -(shaft.cos * at.sin - shaft.sin * at.cos)
+    starts, ends = shaft.starts == first, shaft.ends == first
+    falls = jnp.where(starts[:, None] & (jnp.arange(gap.shape[1] - 1) == 0), 1.0, rate[:, :-1]) < 0
+    rises = jnp.where(ends[:, None] & (jnp.arange(gap.shape[1] - 1) == gap.shape[1] - 2), -1.0, rate[:, 1:]) > 0
+    lengths = shaft.beyond[:, 1:] - shaft.beyond[:, :-1]
+    cubic = Cubic(gap[:, :-1], gap[:, 1:], lengths * rate[:, :-1], lengths * rate[:, 1:])
+    share = cubic.valley()
+    valleys = jnp.where(falls & rises, cubic.value(share), FAR)
+    k = jnp.argmin(valleys)
+    segment, index = k // valleys.shape[1], k % valleys.shape[1]
+    some = jnp.isfinite(jnp.min(valleys))
+    cell = cell_of(shaft, segment, index)
+
+    def stationary(unknowns):
+        t, p = unknowns
+        at, (x, y) = one.point(p), cell.point(t)
+        dx, dy = cell.direction(t)
+        return jnp.stack([(dx * at.sin - dy * at.cos) / cell.length, at.along(x, y)])
+
+    def newton(_, unknowns):
+        (a, b), (c, d) = jax.jacfwd(stationary)(unknowns)
+        e, f = stationary(unknowns)
+        step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
+        return unknowns - jnp.where(jnp.isfinite(step), step, 0.0)
+
+    t0 = share.reshape(-1)[k]
+    p0 = (1 - t0) * found[segment, index] + t0 * found[segment, index + 1]
+    t, p = jax.lax.fori_loop(0, LOWEST_STEPS, newton, jnp.stack([t0, p0]))
+    astray = ~((t > -0.5) & (t < 1.5) & (jnp.abs(p - p0) < 3 * spacing + jnp.abs(found[segment, index] - p0)))
+    t, p = jnp.where(astray, t0, t), jnp.where(astray, p0, p)
+    there, (x, y), (dx, dy) = one.point(p), cell.point(t), cell.direction(t)
+    piece = jnp.asarray(first)
+    on_shaft = Candidate(
+        jnp.where(some, there.off(x, y), FAR),
+        jnp.stack([jnp.zeros(()), p, cell.beyond + t * cell.length]),
+        jnp.asarray(int(Phase.tangential)),
+        jnp.where(dx * there.cos + dy * there.sin > 0, -1.0, 1.0),
+        piece,
+    )
+    tip = jax.tree.map(lambda leaf: leaf[0, 0], at)
+    into, along = rate[0, 0], shaft.cos[0, 0] * tip.cos + shaft.sin[0, 0] * tip.sin
+    # Where the tip points away from the object, a point behind it is nearer.
+    touches_there = (shaft.starts[1] >= 0) & (shaft.beyond[1, 0] <= 0)
+    at_tip = Candidate(
+        jnp.where((into > 0) & ~touches_there, gap[0, 0], FAR),
+        jnp.stack([jnp.zeros(()), found[0, 0], -jnp.arctan2(into, jnp.abs(along))]),
+        jnp.asarray(int(Phase.tip)),
+        jnp.where(along < 0, -1.0, 1.0),
+        piece,
+    )
+    return [on_shaft, at_tip], jnp.min(gap)

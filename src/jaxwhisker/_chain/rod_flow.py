@@ -1,0 +1,256 @@
+"""Where whiskers come to rest that have lost their stability: the flow of coarse rods at a fixed control.
+
+Each whisker is a chain of rigid links with springs between them. Its drag is that of turning links, and objects push back
+the ends of links in proportion to their depth. Time steps are linearly implicit and grow until nothing moves. The contacts
+in which the rods come to rest are a guess for the exact equations.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.linear_algebra import positive_definite, solve
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.gaps import nearest, outline_of
+from jaxwhisker._chain.problem import BasePoses, ChainProblem
+from jaxwhisker._chain.shaft import Shaft
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of, of_each
+from jaxwhisker._equilibrium.point import Contacts
+from jaxwhisker._rod.rod import Section
+
+LINKS = 60
+STIFFNESS = 2e4  # EI/L^3, of an object at the end of a link
+STRIDE = 0.01  # lengths by which any point may move in a step
+FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
+REST = 1e-7  # lengths by which points at rest may move in a step of the longest time
+STEPS = 600
+LEAST_FORCE = 1e-4  # EI/L^2, of a contact
+
+
+class Rods(NamedTuple):
+    """The state of the flow."""
+
+    angle: Float[Array, "whiskers links"]  # of the links to the x axis
+    springs: Float[Array, " springs"]  # elongations of the network in units of its root
+    time: Scalar  # length of the next step
+    steps: Int[Array, ""]
+    rests: Bool[Array, ""]
+
+
+class Landing(NamedTuple):
+    """Contacts in which rods have come to rest, as a guess."""
+
+    z: Contacts
+    state: ChainState
+    settled: Bool[Array, ""]
+    too_many: Bool[Array, ""]  # whether there are more contacts than there is room for
+
+
+class _Whisker(NamedTuple):
+    """What does not change in the flow, of each whisker."""
+
+    link: Scalar  # length of a link
+    joint: Float[Array, " links"]  # stiffness of the springs between links; the first one is that at the base
+    bend: Float[Array, " links"]  # angle of each joint without a moment
+    origin: Float[Array, "2"]  # of the base's frame
+    axes: Float[Array, "2 2"]  # columns: its x and y axes
+    upright: Scalar  # angle of the unloaded base to the x axis
+
+
+def _whisker(body: WhiskerAtObject) -> _Whisker:
+    link = body.length / LINKS
+    at = link * jnp.asarray(np.append(0.25, np.arange(1, LINKS)))
+    part = jnp.asarray(np.append(0.5, np.ones(LINKS - 1))) * link
+    material = material_of(body)
+    if isinstance(material, Section):
+        stiffness = jax.vmap(material.stiffness)(at)
+        curvature = jax.vmap(lambda s: jnp.asarray(material.curvature(s), dtype=float))(at)
+    else:
+        stiffness, curvature = jnp.broadcast_to(jnp.asarray(material), at.shape), jnp.zeros_like(at)
+    frame = body.frame
+    assert frame is not None
+    axes = jnp.stack([jnp.stack([frame.cos, frame.sin]), jnp.stack([-frame.sin, frame.cos])], axis=1)
+    upright = jnp.arctan2(frame.sin, frame.cos) + np.pi / 2
+    return _Whisker(link, stiffness / part, curvature * part, jnp.stack([frame.x, frame.y]), axes, upright)
+
+
+class _Touching(NamedTuple):
+    """How the ends of links touch; fields (links,)."""
+
+    depth: Float[Array, " links"]  # the largest one, of any object
+    number: Int[Array, " links"]  # of this object
+    parameter: Float[Array, " links"]
+    normal: Float[Array, "links 2"]
+    curvature: Float[Array, " links"]  # of the object; positive if it is convex
+
+
+def _touching(problem: ChainProblem, origin: Float[Array, "2"], length: Scalar, ends: Float[Array, "links 2"]):
+    each = []
+    for one in problem.profile.objects:
+        outline = outline_of(one, origin[0], origin[1], 1.5 * length)
+
+        def own(x, y, one=one, outline=outline):
+            p = nearest(one, outline, x, y)
+            at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
+            curvature = (rate.sin * at.cos - rate.cos * at.sin) / (rate.x * at.cos + rate.y * at.sin)
+            return -at.off(x, y), p, at.normal, curvature
+
+        each.append(jax.vmap(own)(*ends.T))
+    depth, parameter, normal, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
+    number = jnp.argmax(depth, axis=0)
+
+    def of_deepest(values):
+        index = jnp.reshape(number, (1, -1, *[1] * (values.ndim - 2)))
+        return jnp.take_along_axis(values, index, axis=0)[0]
+
+    return _Touching(of_deepest(depth), number, *map(of_deepest, (parameter, normal, curvature)))
+
+
+def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "links 2"]:
+    base = own.origin + jnp.sum(own.axes * pose[:2], axis=1)
+    way = own.link * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+    return base + jnp.cumsum(way, axis=0)
+
+
+def _system(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, pose: Array):
+    """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
+    ends = _ends(own, angle, pose)
+    touch = _touching(problem, own.origin, length, ends)
+    depth = jnp.maximum(touch.depth, 0.0)
+    force = STIFFNESS * depth[:, None] * touch.normal
+    beyond = jnp.cumsum(force[::-1], axis=0)[::-1]  # sum of the forces at and beyond a link
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    before = jnp.append(own.upright + pose[2], angle[:-1])
+    moment = own.joint * (angle - before - own.bend)
+    by_angle = moment - jnp.append(moment[1:], 0.0) - own.link * (beyond[:, 1] * cos - beyond[:, 0] * sin)
+    by_pose = -jnp.append(jnp.sum(own.axes * beyond[0][:, None], axis=0), moment[0])
+    # Derivatives of the depths of all ends.
+    earlier = jnp.asarray(np.tri(LINKS))  # end i moves with link j <= i
+
+    def moves(way):
+        turns = own.link * earlier * (way[:, :1] * -sin + way[:, 1:] * cos)
+        shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
+        return jnp.concatenate([turns, shifts, jnp.zeros((LINKS, 1))], axis=1)
+
+    into, along = moves(touch.normal), moves(touch.normal[:, ::-1] * np.array([-1.0, 1.0]))
+    stiff, bends = jnp.where(touch.depth > 0, STIFFNESS, 0.0), -STIFFNESS * depth * touch.curvature
+    second = into.T @ (stiff[:, None] * into) + along.T @ (bends[:, None] * along)
+    geometric = own.link * (beyond[:, 0] * cos + beyond[:, 1] * sin)
+    next_joint = jnp.append(own.joint[1:], 0.0)
+    tight = jnp.diag(own.joint + next_joint + geometric) - jnp.diag(own.joint[1:], 1) - jnp.diag(own.joint[1:], -1)
+    second = second.at[:LINKS, :LINKS].add(tight)
+    second = second.at[-1, -1].add(own.joint[0]).at[0, -1].add(-own.joint[0]).at[-1, 0].add(-own.joint[0])
+    return jnp.append(by_angle, by_pose), second, ends
+
+
+def _poses(problem: ChainProblem, springs: Array) -> BasePoses:
+    root = problem.flexibility.root
+    return problem.rest + jnp.reshape(jnp.sum(root * springs, axis=1), (-1, 3))
+
+
+def rods_of(problem: ChainProblem, shafts: Shaft, load: BasePoses) -> Rods:
+    """The rods with the shapes of these shafts; `load` are those on their bases."""
+
+    def one(shaft, length):
+        beyond, cos, sin = (jnp.ravel(leaf) for leaf in (shaft.beyond, shaft.cos, shaft.sin))
+        angle = jnp.unwrap(jnp.arctan2(sin, cos))
+        at = length * (1 - (np.arange(LINKS) + 0.5) / LINKS)
+        return jnp.interp(at, beyond, angle)
+
+    angle = jax.vmap(one)(shafts, problem.length)
+    # Angles of the links continue that of the base.
+    turn = jnp.round((angle[:, :1] - np.pi / 2) / (2 * np.pi)) * 2 * np.pi
+    springs = jnp.sum(problem.flexibility.root * jnp.ravel(load)[:, None], axis=0)
+    return Rods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
+
+
+def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""]) -> Rods:
+    """The rods at rest; nothing is computed unless the flow begins."""
+    n, root = problem.length.shape[0], problem.flexibility.root
+    each, size = of_each(problem.bodies(u), _whisker), n * LINKS
+    drag = jnp.append(jnp.repeat(each.link, LINKS), jnp.ones(root.shape[1]))
+
+    def linearised(rods: Rods):
+        pose = _poses(problem, rods.springs)
+        gradient, second, ends = jax.vmap(lambda *own: _system(problem, *own))(each, problem.length, rods.angle, pose)
+        roots = jnp.reshape(root, (n, 3, -1))
+        by_angle = jnp.reshape(np.eye(n)[:, None, :, None] * second[:, :LINKS, None, :LINKS], (size, size))
+        mixed = jnp.reshape(jnp.sum(second[:, :LINKS, LINKS:, None] * roots[:, None], axis=2), (size, -1))
+        pulled = jnp.sum(second[:, LINKS:, LINKS:, None] * roots[:, None], axis=2)
+        by_springs = jnp.eye(root.shape[1]) + jnp.sum(roots[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
+        on_springs = rods.springs + jnp.sum(roots * gradient[:, LINKS:, None], axis=(0, 1))
+        right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
+        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends
+
+    def step(rods: Rods) -> Rods:
+        right, system, ends = linearised(rods)
+        system += jnp.diag(drag / rods.time)
+        change = -solve(system, right[:, None])[:, 0]
+        angle = rods.angle + jnp.reshape(change[:size], (n, LINKS))
+        springs = rods.springs + change[size:]
+        there = jax.vmap(_ends)(each, angle, _poses(problem, springs))
+        moved = jnp.max(jnp.sqrt(jnp.sum((there - ends) ** 2, axis=-1)))
+        good = moved < STRIDE
+        growth = jnp.where(moved < STRIDE / 8, 3.0, jnp.where(moved < STRIDE / 2, 1.5, 1.0))
+        longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
+        rests = good & (moved < REST) & (rods.time >= LONGEST_TIME / 4)
+        return Rods(
+            jnp.where(good, angle, rods.angle),
+            jnp.where(good, springs, rods.springs),
+            jnp.where(good, longer, rods.time / 4),
+            rods.steps + 1,
+            rests,
+        )
+
+    def goes_on(rods: Rods):
+        return begins & ~rods.rests & (rods.steps < STEPS) & (rods.time > 1e-12)
+
+    end = jax.lax.while_loop(goes_on, step, start)
+    # Steps of the longest time could end at a saddle.
+    return end._replace(rests=end.rests & positive_definite(linearised(end)[1]))
+
+
+def landing_of(problem: ChainProblem, u: Scalar, rods: Rods) -> Landing:
+    """The contacts of rods at rest."""
+    each, room = of_each(problem.bodies(u), _whisker), problem.contacts
+    firsts = jnp.asarray(np.array(problem.profile.first_pieces()))
+
+    def one(own, length, angle, pose):
+        ends = _ends(own, angle, pose)
+        touch = jax.tree.map(lambda leaf: leaf[::-1], _touching(problem, own.origin, length, ends))  # from the tip
+        depth = jnp.maximum(touch.depth, 0.0)
+        active = depth * STIFFNESS > LEAST_FORCE
+        joins = active & jnp.append(False, active[:-1]) & (touch.number == jnp.append(-1, touch.number[:-1]))
+        begins = active & ~joins
+        number = jnp.where(active, jnp.cumsum(begins) - 1, room)
+        beyond = own.link * np.arange(LINKS)
+
+        def of_group(k):
+            weight = jnp.where(number == k, depth, 0.0)
+            total = jnp.sum(weight)
+            some = total > 0
+            deepest = jnp.argmax(weight)
+            at_tip = some & (deepest == 0)
+            mean = jnp.sum(weight * beyond) / jnp.where(some, total, 1.0)
+            normal, link = touch.normal[deepest], angle[::-1][deepest]
+            into = -(jnp.cos(link) * normal[0] + jnp.sin(link) * normal[1])
+            along = -jnp.cos(link) * normal[1] + jnp.sin(link) * normal[0]  # the object's tangent is (-n_y, n_x)
+            slack = jnp.where(at_tip, -jnp.arctan2(into, jnp.abs(along)), mean)
+            numbers = jnp.stack([STIFFNESS * total, touch.parameter[deepest], slack])
+            phase = jnp.where(at_tip, int(Phase.tip), int(Phase.tangential))
+            return (
+                jnp.where(some, numbers, 0.0),
+                jnp.where(some, phase, int(Phase.free)),
+                jnp.where(along < 0, -1.0, 1.0),
+                jnp.where(some, firsts[touch.number[deepest]], 0),
+            )
+
+        return *jax.vmap(of_group)(jnp.arange(room)), jnp.sum(begins)
+
+    z, phase, side, piece, count = jax.vmap(one)(each, problem.length, rods.angle, _poses(problem, rods.springs))
+    state = ChainState(jnp.ravel(phase), jnp.ravel(side), jnp.ravel(piece))
+    return Landing(jnp.reshape(z, (-1, 3)), state, rods.rests, jnp.any(count > room))

@@ -1,0 +1,68 @@
+"""Stance: which contacts may begin, and whether those that exist are as the equations assume."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.contacts import ChainState, chain_of
+from jaxwhisker._chain.gaps import Gaps, gaps_of
+from jaxwhisker._chain.march_state import ChainStance
+from jaxwhisker._chain.newton import of_whiskers
+from jaxwhisker._chain.problem import BasePoses, ChainProblem
+from jaxwhisker._chain.shaft import BaseAt, Shaft, shaft_of
+from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, of_each
+from jaxwhisker._equilibrium.point import Contacts
+
+
+def bases_of(problem: ChainProblem, u: Scalar, pose: BasePoses) -> BaseAt:
+    """Where bases with these coordinates are; fields (whiskers,)."""
+    at = problem.in_scene(u, pose)
+    return BaseAt(at.x, at.y, -jnp.sin(at.angle), jnp.cos(at.angle))
+
+
+def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> Shaft:
+    """The shafts of all whiskers; fields (whiskers, ...)."""
+    own = of_whiskers(problem, (z, state))
+    return of_each(problem.bodies(u), shaft_of, *own, bases_of(problem, u, pose))
+
+
+def stance_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> ChainStance:
+    """The stance at a point of the path."""
+    bodies = problem.bodies(u)
+
+    def one(body: WhiskerAtObject, z, state, base) -> tuple[Gaps, Bool[Array, ""]]:
+        shaft = shaft_of(body, z, state, base)
+        return gaps_of(body.profile, shaft, body.length), opens(body, z, state, shaft)
+
+    gaps, open_ = of_each(bodies, one, *of_whiskers(problem, (z, state)), bases_of(problem, u, pose))
+
+    def places(u):
+        at = problem.in_scene(u, problem.rest)
+        tip = problem.length
+        return jnp.stack([at.x, at.y, at.x - tip * jnp.sin(at.angle), at.y + tip * jnp.cos(at.angle)])
+
+    rates = jax.jvp(places, (u,), (jnp.ones_like(u),))[1]
+    speed = jnp.sqrt(jnp.max(jnp.maximum(rates[0] ** 2 + rates[1] ** 2, rates[2] ** 2 + rates[3] ** 2)))
+    return ChainStance(gaps.candidates, gaps.distance, jnp.all(open_), speed)
+
+
+def opens(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, shaft: Shaft) -> Bool[Array, ""]:
+    """Whether object and shaft part on both sides of every contact on the shaft."""
+    chain = chain_of(body, z, state)
+    at = chain.contact
+    piece = jnp.where(state.touches, state.piece, 0)
+    placeholder = body.profile.placeholder_parameter
+    assert placeholder is not None
+    parameter = jnp.where(state.touches, z[:, 1], placeholder[0])
+
+    def bend(piece, p):
+        rate = jax.jvp(lambda p: body.profile.point_on(piece, p), (p,), (jnp.ones_like(p),))[1]
+        return rate
+
+    rate = jax.vmap(bend)(piece, parameter)
+    speed, turn = rate.x * at.cos + rate.y * at.sin, rate.sin * at.cos - rate.cos * at.sin
+    # Towards the object, the normal of the whisker's direction is on its left if it runs along the object's tangent.
+    kappa = shaft.curvature[1:, 0] * state.side
+    # The object leaves its tangent by curvature / 2 upwards; the shaft must leave it less, or downwards.
+    return jnp.all((state.phase != Phase.tangential) | (turn - kappa * speed > 0))

@@ -1,0 +1,202 @@
+"""The mechanics of scans whose whiskers may have several contacts each, with the signals of an equilibrium."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxwhisker._base.program import Program
+from jaxwhisker._base.slopes import by_slopes
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.approach import all_free
+from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.continuation import ContinuationOfChain
+from jaxwhisker._chain.implicit import sides_of_events, solved
+from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
+from jaxwhisker._chain.problem import ChainProblem, chain_problem
+from jaxwhisker._equilibrium.contact import FORCE, SLACK
+from jaxwhisker._equilibrium.point import Contacts, at_control
+from jaxwhisker._model.canonical import canonical
+from jaxwhisker._model.scene import Scene, moves_along_x
+from jaxwhisker._path.march import follow, sweeps_of
+from jaxwhisker._path.path import Node, Path, ScanPath, Status
+from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
+from jaxwhisker._scan.plane import spring_lengths_now
+from jaxwhisker._scan.resolution import warn_of_steps
+from jaxwhisker._scan.result import Events, Result
+from jaxwhisker._scan.signals import beyond_phase
+from jaxwhisker._scan.springs import bases_of, lengths_along_x, suspension
+from jaxwhisker._scan.state import State
+from jaxwhisker._scan.steps import interpolate, is_near
+
+EVENTS = 64  # events of one whisker that a scan has room for
+BLOCK = 256  # steps computed by one call
+LANES = 16  # of a batch that run together
+
+
+def follow_path(
+    problem: ChainProblem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
+) -> ScanPath:
+    """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
+    problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
+    return follow(ContinuationOfChain(problem), stops, last, sweeps)
+
+
+canonical_problem_now = Program(chain_problem, tangent=by_slopes(chain_problem))
+follow_path_now = Program(follow_path, frozen=True, together=LANES)
+
+
+def problem_now(scene: Scene) -> ChainProblem:
+    """The dimensionless problem of a scene, by a program that all scenes of one canonical form share."""
+    return canonical_problem_now(canonical(scene), scene.contacts)
+
+
+class Chain(Mechanics):
+    """Whiskers in the plane with several contacts."""
+
+    most_numbers, block, result, events = 64, BLOCK, Result, Events
+    problem = staticmethod(problem_now)
+
+    @staticmethod
+    def check(scene: Scene, problem: ChainProblem) -> None:
+        if not bool(problem.valid):
+            raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
+        warn_of_steps(scene)
+
+    @staticmethod
+    def follow(problem: ChainProblem, stops: Any, last: Any) -> ScanPath:
+        return follow_path_now(problem, stops, last, *sweeps_of(last))
+
+    @staticmethod
+    def detected(scene: Scene, problem: ChainProblem, path: Path) -> Path:
+        return path  # the march knows all contacts
+
+    @staticmethod
+    def prepare(pool: Executor, scene: Scene, problem: ChainProblem, stops: int) -> tuple[Path, None]:
+        return follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path, None
+
+    @staticmethod
+    def is_ready(problem: ChainProblem, stops: int) -> bool:
+        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
+
+    @staticmethod
+    def memory(problem: ChainProblem, path: Path, stops: Any) -> None:
+        return None
+
+    @staticmethod
+    def remember(problem: ChainProblem, path: Path, stops: Float[Array, " stops"]) -> None:
+        return None
+
+    @staticmethod
+    def remembered(memory: None, path: Path | None, solutions: Solutions) -> None:
+        return None
+
+    @staticmethod
+    def solve(problem, path, index, u, known) -> Solutions:
+        index = jnp.maximum(index, 0)  # of a path without nodes
+        state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
+        guess = jax.vmap(lambda index, u: interpolate(path, index, u))(index, u)
+        guess = guess._replace(z=jnp.where(state.touches[:, :, None], guess.z, 0.0))
+        solution = solve_points(problem, state, jax.vmap(at_control)(u, guess.z), guess)
+        z = solution.point.z
+        status = jnp.where(solution.converged & is_near(z, guess.z), Status.ok, Status.inexact)
+        status = jnp.where(known == Status.ok, status, known)
+        accepted = (status == Status.ok)[:, None]
+        none, free = all_free(problem)
+        # Rejected steps are replaced by free whiskers, with finite values and derivatives (see `safe_placeholder`).
+        state = jax.tree.map(lambda own, other: jnp.where(accepted, own, other), state, free)
+        return Solutions(jnp.where(accepted[:, None], z, none), state, status, index)
+
+    @staticmethod
+    def states(problem, u, solutions, remembered):
+        def one(u: Scalar, z: Contacts, state: ChainState):
+            return signals(problem, solved(problem, z, u, state), u, state)
+
+        return jax.vmap(one)(u, solutions.z, solutions.state)
+
+    @staticmethod
+    def checked(problem, solutions, status):
+        return status
+
+    @staticmethod
+    def lengths(scene: Scene, state: State, displacement: None, control: Any) -> Float[Array, "steps springs"]:
+        return spring_lengths_now(suspension(scene), bases_of(scene, state), control)
+
+    @staticmethod
+    def differences(scene: Scene) -> Callable | None:
+        if not moves_along_x(scene):
+            return None
+        return lambda state, control: lengths_along_x(scene.support, np.asarray(state.base_x), np.asarray(control))
+
+    @staticmethod
+    def signals(problem, *side):
+        return signals(problem, *side)
+
+    @staticmethod
+    def event_room(whiskers: int) -> int:
+        return EVENTS * whiskers
+
+    @staticmethod
+    def event_nodes(problem: ChainProblem, path: Path) -> Node:
+        rows = path.nodes.whiskers
+        each = jnp.reshape(rows, (rows.shape[0], -1, problem.contacts))
+        return path.nodes._replace(whiskers=jnp.any(each, axis=2))
+
+    @staticmethod
+    def at_events(problem, path, memory, at, filled) -> EventSides:
+        return EventSides(*sides_of_events(problem, path.nodes, at, filled))
+
+    @staticmethod
+    def event_controls(problem, path, memory, at, filled):
+        control, before, after = sides_of_events(problem, path.nodes, at, filled)
+        touched, touches = (
+            jnp.any(jnp.reshape(side.state.touches, (at.size, -1, problem.contacts)), axis=2)
+            for side in (before, after)
+        )
+        return control, touched & ~touches
+
+    @staticmethod
+    def at_nodes(memory: None, at: Any) -> None:
+        return None
+
+
+def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> tuple[State, Scalar, None]:
+    """State of an equilibrium in the scene's units, its largest residual, and None for the displacement of bases."""
+    residual, at = residuals(problem, z, u, state)
+    unit, each = problem.unit, of_whiskers(problem, state)
+    touches, touching = each.touches, jnp.any(each.touches, axis=1)
+    pose = problem.rest + problem.displacement(at.load)
+    here, chain, base = problem.in_scene(u, pose), at.chain, at.base
+    own = of_whiskers(problem, z)
+    wrong = jnp.where(state.touches, beyond_phase(state.phase, z[:, FORCE], z[:, SLACK]), 0.0)
+
+    def if_touching(values: Array) -> Array:
+        return jnp.where(touching, values, 0.0)
+
+    def at_contacts(values: Array) -> Array:
+        return jnp.where(touches, values, 0.0)
+
+    number = problem.profile.object_of(each.piece)
+    several = len(problem.profile.objects) > 1
+    values = State(
+        base_x=here.x * unit.length,
+        base_y=here.y * unit.length,
+        base_angle=here.angle,
+        fx=if_touching(-base.force_x) * unit.force,
+        fy=if_touching(-base.force_y) * unit.force,
+        mz=if_touching(-base.bend) * unit.moment,
+        contact_force=at_contacts(own[..., FORCE]) * unit.force,
+        contact_slope=at_contacts(jnp.arctan2(chain.contact.sin, chain.contact.cos)),
+        contact_arc=at_contacts(problem.length[:, None] - chain.beyond) * unit.length,
+        contact_x=at_contacts(chain.contact.x) * unit.length,
+        contact_y=at_contacts(chain.contact.y) * unit.length,
+        phase=each.phase,
+        contact_object=jnp.where(touches, number + 1, 0) if several and number is not None else None,
+    )
+    scale = jnp.where(jnp.isfinite(u), 1 + jnp.abs(u), jnp.inf)
+    largest = jnp.maximum(jnp.max(jnp.abs(residual)) / scale, jnp.max(wrong))
+    return values, jnp.where(jnp.any(at.backwards), jnp.inf, largest), None
