@@ -10,6 +10,7 @@ from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.foundation import Foundation
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
+from jaxwhisker._model.pipe import Pipe
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.profiles import Graph, Tilted
@@ -100,6 +101,7 @@ __all__ = [
     "ParabolicShape",
     "Paraboloid",
     "Phase",
+    "Pipe",
     "PointForce",
     "PointMoment",
     "PointStatus",

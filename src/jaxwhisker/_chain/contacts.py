@@ -55,7 +55,7 @@ class ChainState(NamedTuple):
         return self.phase != Phase.free
 
 
-class Chain(NamedTuple):
+class Segments(NamedTuple):
     """A whisker from its contacts on; fields (contacts, ...)."""
 
     contact: ContactPoint
@@ -65,7 +65,7 @@ class Chain(NamedTuple):
     arc: PerContact  # length of the segment
 
 
-def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> Chain:
+def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> Segments:
     """The segments of a whisker with these contacts, and the loads on them."""
     touches, placeholder = state.touches, body.profile.placeholder_parameter
     assert placeholder is not None
@@ -81,7 +81,7 @@ def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainS
     fx, fy = force * at.sin, -force * at.cos
     load = Load(jnp.cumsum(fx), jnp.cumsum(fy), jnp.cumsum(at.x * fy - at.y * fx))
     arc = jnp.append(beyond[1:], body.length) - beyond
-    return Chain(at, beyond, (at.x, at.y, *direction), load, arc)
+    return Segments(at, beyond, (at.x, at.y, *direction), load, arc)
 
 
 def step_count(body: WhiskerAtObject) -> int:
@@ -108,7 +108,7 @@ def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, 
     return jax.vmap(one)(starts, loads, arcs, from_base)
 
 
-def ends_of(body: WhiskerAtObject, chain: Chain) -> RodState:
+def ends_of(body: WhiskerAtObject, chain: Segments) -> RodState:
     """States at the ends of all segments; fields (contacts,)."""
     states = segments(body, chain.start, chain.load, chain.arc, body.length - chain.beyond)
     return jax.tree.map(lambda leaf: leaf[:, -1], states)
@@ -121,7 +121,7 @@ class ChainEquations(NamedTuple):
     load: Float[Array, "3"]  # on the base, in its frame: force x, force y, moment
     base: Base
     backwards: Bool[Array, ""]  # whether the whisker runs the wrong way at a contact
-    chain: Chain
+    chain: Segments
 
 
 def last_contact(touches: Bool[Array, " contacts"]) -> Bool[Array, " contacts"]:

@@ -9,6 +9,8 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free, limits_of
 from jaxwhisker._chain.march_state import (
     AT_STOP,
+    HIGH,
+    LOW,
     PHASE,
     RELEASE,
     SNAP,
@@ -22,11 +24,12 @@ from jaxwhisker._chain.march_state import (
     removed,
 )
 from jaxwhisker._chain.newton import ChainSolution, evaluate, of_whiskers, solve_points
+from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.rod_flow import flow, landing_of, rods_of
 from jaxwhisker._chain.shaft import BaseAt, point_at
 from jaxwhisker._chain.stance import bases_of, shafts_of, stance_of
-from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase, of_each
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, of_each
 from jaxwhisker._equilibrium.point import PathCondition, Point, along, at_arc_length, dot, scale_of, unit
 from jaxwhisker._path.approach import crop
 from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoint, WaysOn
@@ -48,6 +51,7 @@ BEYOND = (3e-3, 2e-2)  # distances of the control behind a loss at which rods fl
 TRIES = 6  # of the contacts in which whiskers come to rest
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
 AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
+OF_ROWS = (RELEASE, PHASE, LOW, HIGH)  # kinds of margins that belong to existing contacts
 CLOSE = 1e-6  # length of a step within which a contact begins that there is no room for
 
 
@@ -110,6 +114,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             rate=one,
             unstable_rate=-one,
             touched=jnp.asarray(False),
+            slips=jnp.asarray(False),
         )
 
     # A step.
@@ -132,7 +137,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         forwards = jnp.where(locating & (ahead < 0), -1.0, 1.0)
         stable = begins | (march.direction * forwards * tangent.u > 0)
         onwards = self._gap_grows(march, solution, jnp.sign(tangent.u) * march.direction / length)
-        stable = jnp.where(march.task == Task.arrive, onwards | (target.number != RELEASE), stable)
+        arrives = (onwards | (target.number != RELEASE)) & ~march.slips
+        stable = jnp.where(march.task == Task.arrive, arrives, stable)
         return TrialOfChain(solution, tangent, stance, guess, state, stop, jnp.asarray(last), stable)
 
     def _gap_grows(self, march: MarchOfChain, solution: ChainSolution, sign: Scalar) -> Bool[Array, ""]:
@@ -167,12 +173,13 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         locating = march.task == Task.event
         assert target.limit is not None
         of_force = (target.number == TOUCH) | ((target.number == RELEASE) & locating)
-        of_slack = target.number == PHASE
+        of_slack, of_parameter = target.number == PHASE, (target.number == LOW) | (target.number == HIGH)
         rows = jnp.where(target.number == TOUCH, jnp.arange(none.shape[0]) == target.first.row, target.whiskers)
-        by_control = ~of_force & ~of_slack
+        by_control = ~of_force & ~of_slack & ~of_parameter
         weight = none.at[:, FORCE].set(rows * of_force).at[:, SLACK].set(rows * of_slack)
-        limit = jnp.where(locating, target.limit, 0.0)
-        z0 = none.at[:, SLACK].set(jnp.where(of_slack, limit, 0.0))
+        weight = weight.at[:, PARAMETER].set(rows * of_parameter)
+        z0 = none.at[:, SLACK].set(jnp.where(of_slack & locating, target.limit, 0.0))
+        z0 = z0.at[:, PARAMETER].set(jnp.where(of_parameter & rows.astype(bool), target.limit, 0.0))
         u = jnp.where(locating, stop, march.point.u)
         at_event = PathCondition(weight, z0, by_control.astype(float), u, none[:, 0])
         ahead = at_arc_length(march.point, march.tangent, march.step)
@@ -202,7 +209,14 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         slack = z[:, SLACK]
         changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
         changes = jnp.where(outermost & ~free, changes, FAR)
-        return touch, release, changes, jnp.reshape(march.direction * (stop - u), 1)
+        (low, high), p = self._ends(march), z[:, PARAMETER]
+        below, above = jnp.where(free, FAR, p - low), jnp.where(free, FAR, high - p)
+        return touch, release, changes, below, above, jnp.reshape(march.direction * (stop - u), 1)
+
+    def _ends(self, march: MarchOfChain) -> tuple[Array, Array]:
+        """Parameters at which the pieces of all contacts begin and end."""
+        profile = self.problem.profile
+        return profile.ends_on(jnp.where(march.state.touches, march.state.piece, 0))
 
     def rates(self, march: MarchOfChain, tangent: Point) -> Margins:
         """Rates of the margins along the path, those of forces and slacks of contacts only."""
@@ -213,7 +227,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         outermost = jnp.arange(slack.size) % self.problem.contacts == 0
         still = jnp.zeros_like(march.stance.candidates.gap)
         force = jnp.where(free, 0.0, tangent.z[:, FORCE])
-        return still, force, jnp.where(outermost & ~free, slack, 0.0), jnp.zeros(1)
+        along = jnp.where(free, 0.0, tangent.z[:, PARAMETER])
+        return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, jnp.zeros(1)
 
     def first_violated(self, march: MarchOfChain, trial: TrialOfChain, distance):
         return self._first_violated(march, trial, distance, None)
@@ -228,6 +243,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         touches = crossed.number == TOUCH
         rows = jnp.where(touches, jnp.arange(problem.rows) == new.row, crossed.whiskers)
         limit = jnp.where((march.state.phase == Phase.tip) & (z[:, SLACK] < -np.pi / 2), -np.pi, 0.0)
+        low, high = self._ends(march)
+        limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
         return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
 
     def _new_contact(self, march: MarchOfChain, z: Array, stance: ChainStance, entry: Array) -> NewContact:
@@ -356,7 +373,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         chord = Point(z - march.point.z, trial.point.u - march.point.u)
         distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
         rates = self.rates(march, self._direction(march, trial))
-        own = jnp.where(target.number == RELEASE, rates[RELEASE], rates[PHASE])
+        own = jnp.stack([rates[kind] for kind in OF_ROWS])[jnp.clip(target.number - OF_ROWS[0], 0, len(OF_ROWS) - 1)]
         grows = ~begins & (target.number != AT_STOP) & jnp.any(target.whiskers & (own > 0))
         good = trial.converged & ~grows & (distance > -BEHIND) & (reach <= 1.5 * march.step + 1e-6)
         # The contact that begins must be as it was expected to be.
@@ -367,8 +384,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         )
         ignored = [
             jnp.zeros_like(trial.stance.candidates.gap, bool),
-            (target.number == RELEASE) & target.whiskers,
-            (target.number == PHASE) & target.whiskers,
+            *((target.number == kind) & target.whiskers for kind in OF_ROWS),
             jnp.reshape(target.number == AT_STOP, 1),
         ]
         violated, earlier = self._first_violated(march, trial, reach, ignored)
@@ -398,27 +414,28 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         assert target.limit is not None
         gone = removed(z, state, rows & (number == RELEASE), problem.contacts)
         tip, changes = state.phase == Phase.tip, rows & (number == PHASE)
+        signs = corner_signs(problem.profile)
+        at_corner = signs[jnp.where(state.touches, state.piece, 0)] > 0
+        # A corner of an object that slips off the tip, and a tip that slides over a corner.
+        changes &= tip | ~at_corner
+        way = jnp.where(number == LOW, -1, jnp.where(number == HIGH, 1, 0))
+        next_piece = jnp.clip(state.piece + way, 0, signs.size - 1)
+        passes = rows & (way != 0) & jnp.where(tip, signs[next_piece] <= 0, signs[next_piece] >= 0)
         other = jnp.where(tip, int(Phase.tangential), int(Phase.tip))
         turned = changes & (target.limit < 0)
         changed = (
             z.at[:, SLACK].set(jnp.where(changes, 0.0, z[:, SLACK])),
             state._replace(
-                phase=jnp.where(changes, other, state.phase), side=jnp.where(turned, -state.side, state.side)
+                phase=jnp.where(changes, other, state.phase),
+                side=jnp.where(turned, -state.side, state.side),
+                piece=jnp.where(passes, next_piece, state.piece),
             ),
         )
         z_after, after = select(number == RELEASE, gone, changed)
-        kinds = (
-            jnp.array(
-                [
-                    int(EventKind.touch),
-                    int(EventKind.release),
-                    0,
-                    STOP,
-                ]
-            )
-            .at[PHASE]
-            .set(jnp.where(jnp.any(tip & changes), int(EventKind.tip_to_tangential), int(EventKind.tangential_to_tip)))
-        )
+        changed_phase = int(EventKind.tip_to_tangential), int(EventKind.tangential_to_tip)
+        edge = int(EventKind.edge)
+        kinds = jnp.array([int(EventKind.touch), int(EventKind.release), 0, edge, edge, STOP])
+        kinds = kinds.at[PHASE].set(jnp.where(jnp.any(tip & rows), *changed_phase))
         node = march.node(trial.point, self._direction(march, trial))
         return jnp.asarray(False), node._replace(
             point=Point(z_after, trial.point.u),
@@ -428,7 +445,10 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         )
 
     def arriving(self, march: MarchOfChain, trial: TrialOfChain, arriving: MarchOfChain):
-        return arriving.replace(stance=trial.stance, touched=march.touched | self._begins(march))
+        number, before = march.target.number, march.state
+        same = jnp.all((arriving.state.phase == before.phase) & (arriving.state.piece == before.piece))
+        slips = same & ((number == PHASE) | (number == LOW) | (number == HIGH))
+        return arriving.replace(stance=trial.stance, touched=march.touched | self._begins(march), slips=slips)
 
     # The point of an event in its new state.
 
@@ -437,8 +457,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         number = march.target.number
         tip = jnp.any(march.target.whiskers & (march.state.phase == Phase.tip))
         along_drive = jnp.where(trial.tangent.u * direction < 0, -1.0, 1.0)
-        by_condition = jnp.where((number == PHASE) & tip, -1.0, 1.0)
-        return jnp.where((number == TOUCH) | (number == PHASE), by_condition, along_drive)
+        back = ((number == PHASE) & tip) | (number == LOW)
+        by_condition = (number == TOUCH) | (number == PHASE) | (number == LOW) | (number == HIGH)
+        return jnp.where(by_condition, jnp.where(back, -1.0, 1.0), along_drive)
 
     def leaving(self, march: MarchOfChain, trial: TrialOfChain, onwards: MarchOfChain, sign):
         onwards = onwards.replace(unstable_rate=jnp.asarray(-1.0))
@@ -506,8 +527,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         pending = march.node(march.point, march.tangent)
         return march.replace(
             task=jnp.asarray(int(Task.flow)),
-            flow=ChainFlow(jnp.asarray(BEYOND[0]), march.point.u, jnp.asarray(0)),
+            flow=ChainFlow(jnp.where(march.slips, BEYOND[1], BEYOND[0]), march.point.u, jnp.asarray(0)),
             pending=pending,
+            slips=jnp.asarray(False),
         )
 
     def after_flow(self, march: MarchOfChain, trial: TrialOfChain):

@@ -14,9 +14,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.polygons import AtFace, at_corner, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.shaft import Shaft, cell_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.objects import Objects
+from jaxwhisker._model.polygon_chain import PolygonChain
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
 FAR = jnp.inf
@@ -24,6 +26,8 @@ TABLE = 96  # points of an object from which the nearest one is looked for
 NEAREST_STEPS = 3
 ENDS = 2e-4  # share of an outline that is left out at both ends
 LOWEST_STEPS = 4
+BIAS = 2e-10  # lengths by which gaps are changed to decide between corners, and between a corner and the tip
+SHALLOW = 0.05  # lengths: shafts deeper behind a face are on another side of the object
 
 
 class Candidate(NamedTuple):
@@ -44,13 +48,16 @@ class Gaps(NamedTuple):
 
 
 def gaps_of(profile: Objects, shaft: Shaft, reach: Scalar) -> Gaps:
-    """The candidates for new contacts of a shaft, two for each object: on the shaft, and at the tip.
+    """The candidates for new contacts of a shaft: for each object one on the shaft, one at the tip and one at corners.
 
     `reach` is the length of the whisker.
     """
     each, nearest = [], []
     for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
-        candidates, distance = _of_smooth(one, first, shaft, reach)
+        if isinstance(one, PolygonChain):
+            candidates, distance = _of_polygon(one, first, shaft)
+        else:
+            candidates, distance = _of_smooth(one, first, shaft, reach)
         each += candidates
         nearest.append(distance)
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
@@ -151,3 +158,108 @@ def _of_smooth(one: AbstractProfile, first: int, shaft: Shaft, reach: Scalar) ->
         piece,
     )
     return [on_shaft, at_tip], jnp.min(gap)
+
+
+def _of_polygon(one: PolygonChain, first: int, shaft: Shaft) -> tuple[list[Candidate], Scalar]:
+    faces = faces_of(one)
+    near = jax.vmap(jax.vmap(lambda x, y: nearest_face(faces, x, y)))(shaft.x, shaft.y)
+    corners, distance = _past_corners(one, first, shaft)
+    candidates = [_along_faces(one, first, shaft), _tip_at_face(one, first, shaft, near), corners]
+    return candidates, jnp.minimum(jnp.min(near.distance), distance)
+
+
+def _tip_at_face(one: PolygonChain, first: int, shaft: Shaft, near: AtFace) -> Candidate:
+    """The tip, before the nearest face."""
+    faces, tip = faces_of(one), jax.tree.map(lambda leaf: leaf[0, 0], near)
+    cos, sin = faces.cos[tip.number], faces.sin[tip.number]
+    into, along = shaft.sin[0, 0] * cos - shaft.cos[0, 0] * sin, shaft.cos[0, 0] * cos + shaft.sin[0, 0] * sin
+    touches_there = (shaft.starts[1] >= 0) & (shaft.beyond[1, 0] <= 0)
+    may_touch = faces.touchable[tip.number] & (into > 0) & ~touches_there
+    start = one.start[jnp.minimum(2 * tip.number + 1, one.start.size - 1)]
+    return Candidate(
+        jnp.where(may_touch, tip.distance + BIAS, FAR),
+        jnp.stack([jnp.zeros(()), start + tip.along, -jnp.arctan2(into, jnp.abs(along))]),
+        jnp.asarray(int(Phase.tip)),
+        jnp.where(along < 0, -1.0, 1.0),
+        first + 2 * tip.number + 1,
+    )
+
+
+def _past_corners(one: PolygonChain, first: int, shaft: Shaft) -> tuple[Candidate, Scalar]:
+    """The corner that is nearest to the shaft, of those that it may touch, and the distance of the nearest one."""
+    faces = faces_of(one)
+
+    def of_corner(k):
+        right, up = one.xy[k, 0] - shaft.x, one.xy[k, 1] - shaft.y
+        along = right * shaft.cos + up * shaft.sin
+        passes = (along[:, :-1] < 0) & (along[:, 1:] >= 0)
+        share = along[:, :-1] / jnp.where(passes, along[:, :-1] - along[:, 1:], 1.0)
+        apart = jnp.abs(right * shaft.sin - up * shaft.cos)
+        apart = jnp.where(passes, (1 - share) * apart[:, :-1] + share * apart[:, 1:], FAR)
+        index = jnp.argmin(apart)
+        cell, start = cell_of(shaft, index // apart.shape[1], index % apart.shape[1]), jnp.ravel(share)[index]
+
+        def step(_, t):
+            (x, y), (dx, dy) = cell.point(t), cell.direction(t)
+            return t + ((one.xy[k, 0] - x) * dx + (one.xy[k, 1] - y) * dy) / (dx**2 + dy**2)
+
+        t = jnp.clip(jax.lax.fori_loop(0, LOWEST_STEPS, step, start), 0.0, 1.0)
+        (x, y), (dx, dy) = cell.point(t), cell.direction(t)
+        size = jnp.hypot(dx, dy)
+        at = at_corner(one, faces, k, x, y, -dx / size, -dy / size)
+        some = jnp.isfinite(jnp.min(apart)) & at.meets & ~jnp.any(shaft.starts == first + 2 * k)
+        gap = jnp.where(some, at.gap, FAR)
+        numbers = jnp.stack([jnp.zeros(()), at.parameter, cell.beyond + t * cell.length])
+        apart = jnp.hypot(one.xy[k, 0] - x, one.xy[k, 1] - y)
+        return gap, numbers, at.side, jnp.where(jnp.isfinite(jnp.min(jnp.where(passes, 0.0, FAR))), apart, FAR)
+
+    gap, numbers, side, apart = of_corners(one, of_corner)
+    # A shaft that meets a flank touches it all at once: first at the corner that is nearest to the base.
+    k = jnp.argmin(jnp.where(jnp.isfinite(gap), gap - BIAS * numbers[:, 2], FAR))
+    found = Candidate(gap[k], numbers[k], jnp.asarray(int(Phase.tangential)), side[k], first + 2 * k)
+    return found, jnp.min(apart)
+
+
+def _along_faces(one: PolygonChain, first: int, shaft: Shaft) -> Candidate:
+    """The point of the shaft that is nearest to a face to which it is parallel there."""
+    faces = faces_of(one)
+
+    def of_face(k):
+        cos, sin = faces.cos[k], faces.sin[k]
+        gap = (shaft.x - faces.x[k]) * sin - (shaft.y - faces.y[k]) * cos
+        rate = -(shaft.cos * sin - shaft.sin * cos)
+        last, piece = jnp.arange(gap.shape[1] - 1) == gap.shape[1] - 2, first + 2 * k + 1
+        starts, ends = shaft.starts == piece, shaft.ends == piece
+        falls = jnp.where(starts[:, None] & (jnp.arange(gap.shape[1] - 1) == 0), 1.0, rate[:, :-1]) < 0
+        rises = jnp.where(ends[:, None] & last, -1.0, rate[:, 1:]) > 0
+        lengths = shaft.beyond[:, 1:] - shaft.beyond[:, :-1]
+        cubic = Cubic(gap[:, :-1], gap[:, 1:], lengths * rate[:, :-1], lengths * rate[:, 1:])
+        share = cubic.valley()
+        right, up = shaft.x - faces.x[k], shaft.y - faces.y[k]
+        along = right * cos + up * sin
+        along = (1 - share) * along[:, :-1] + share * along[:, 1:]
+        valleys = jnp.where(falls & rises & (along > 0) & (along < faces.length[k]), cubic.value(share), FAR)
+        index = jnp.argmin(jnp.where(valleys > -SHALLOW, valleys, FAR))
+        cell = cell_of(shaft, index // valleys.shape[1], index % valleys.shape[1])
+
+        def step(_, t):
+            slope = cell.direction(t)[0] * sin - cell.direction(t)[1] * cos
+            bend = jax.jvp(cell.direction, (t,), (jnp.ones_like(t),))[1]
+            rise = bend[0] * sin - bend[1] * cos
+            return jnp.clip(t - slope / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0)
+
+        t = jax.lax.fori_loop(0, LOWEST_STEPS, step, jnp.ravel(share)[index])
+        (x, y), (dx, dy) = cell.point(t), cell.direction(t)
+        there = (x - faces.x[k]) * sin - (y - faces.y[k]) * cos
+        some = jnp.ravel(valleys)[index] > -SHALLOW
+        place = (x - faces.x[k]) * cos + (y - faces.y[k]) * sin
+        start = one.start[jnp.minimum(2 * k + 1, one.start.size - 1)]
+        return (
+            jnp.where(some & faces.touchable[k] & jnp.isfinite(jnp.ravel(valleys)[index]), there, FAR),
+            jnp.stack([jnp.zeros(()), start + place, cell.beyond + t * cell.length]),
+            jnp.where(dx * cos + dy * sin > 0, -1.0, 1.0),
+        )
+
+    gap, numbers, side = of_corners(one, of_face)
+    k = jnp.argmin(gap)
+    return Candidate(gap[k], numbers[k], jnp.asarray(int(Phase.tangential)), side[k], first + 2 * k + 1)

@@ -13,7 +13,7 @@ from jaxwhisker._chain.newton import ChainSolution
 from jaxwhisker._equilibrium.point import Contacts, Point
 from jaxwhisker._path.march_state import MarchState
 
-TOUCH, RELEASE, PHASE, AT_STOP, SNAP = range(5)  # kinds of margins, and the arrival after a snap
+TOUCH, RELEASE, PHASE, LOW, HIGH, AT_STOP, SNAP = range(7)  # kinds of margins, and the arrival after a snap
 PerRow = Float[Array, " rows"]
 
 
@@ -47,6 +47,7 @@ class ChainFlow(NamedTuple):
 class MarchOfChain(MarchState):
     """State of a march of whiskers with several contacts."""
 
+    slips: Bool[Array, ""]  # whether a contact has come to an end of its piece behind which it cannot go on
     rate: Scalar  # of the drive along the path, here; halved by the Illinois rule
     unstable_rate: Scalar  # the rate at a known unstable equilibrium
     touched: Bool[Array, ""]

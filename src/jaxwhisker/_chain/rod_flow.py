@@ -16,10 +16,13 @@ from jaxwhisker._base.linear_algebra import positive_definite, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.gaps import nearest, outline_of
+from jaxwhisker._chain.polygons import at_corner, corner_signs, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
 from jaxwhisker._chain.shaft import Shaft
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of, of_each
 from jaxwhisker._equilibrium.point import Contacts
+from jaxwhisker._model.polygon_chain import PolygonChain
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._rod.rod import Section
 
 LINKS = 60
@@ -29,6 +32,8 @@ FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
 REST = 1e-7  # lengths by which points at rest may move in a step of the longest time
 STEPS = 600
 LEAST_FORCE = 1e-4  # EI/L^2, of a contact
+NEIGHBOURS = 1.6  # links between two places that belong to one contact
+AT_TIP = 0.5  # links from the tip within which a contact is one at the tip
 
 
 class Rods(NamedTuple):
@@ -79,35 +84,70 @@ def _whisker(body: WhiskerAtObject) -> _Whisker:
 
 
 class _Touching(NamedTuple):
-    """How the ends of links touch; fields (links,)."""
+    """How rods touch objects: with the ends of their links, and between these at corners; fields (elements,)."""
 
-    depth: Float[Array, " links"]  # the largest one, of any object
-    number: Int[Array, " links"]  # of this object
-    parameter: Float[Array, " links"]
-    normal: Float[Array, "links 2"]
-    curvature: Float[Array, " links"]  # of the object; positive if it is convex
+    depth: Float[Array, " elements"]
+    piece: Int[Array, " elements"]
+    parameter: Float[Array, " elements"]
+    normal: Float[Array, "elements 2"]
+    curvature: Float[Array, " elements"]  # of the object; positive if it is convex
+    arc: Float[Array, " elements"]  # from the base, in links
 
 
-def _touching(problem: ChainProblem, origin: Float[Array, "2"], length: Scalar, ends: Float[Array, "links 2"]):
-    each = []
-    for one in problem.profile.objects:
-        outline = outline_of(one, origin[0], origin[1], 1.5 * length)
+def _touching(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, ends: Array) -> _Touching:
+    profile, each = problem.profile, []
+    for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
+        if isinstance(one, PolygonChain):
+            each += [_at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)]
+        else:
+            each.append(_at_curve(one, first, own, length, ends))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *each)
 
-        def own(x, y, one=one, outline=outline):
-            p = nearest(one, outline, x, y)
-            at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
-            curvature = (rate.sin * at.cos - rate.cos * at.sin) / (rate.x * at.cos + rate.y * at.sin)
-            return -at.off(x, y), p, at.normal, curvature
 
-        each.append(jax.vmap(own)(*ends.T))
-    depth, parameter, normal, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
-    number = jnp.argmax(depth, axis=0)
+def _at_curve(one: AbstractProfile, first: int, own: _Whisker, length: Scalar, ends: Array) -> _Touching:
+    outline = outline_of(one, own.origin[0], own.origin[1], 1.5 * length)
 
-    def of_deepest(values):
-        index = jnp.reshape(number, (1, -1, *[1] * (values.ndim - 2)))
-        return jnp.take_along_axis(values, index, axis=0)[0]
+    def at_end(x, y):
+        p = nearest(one, outline, x, y)
+        at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
+        curvature = (rate.sin * at.cos - rate.cos * at.sin) / (rate.x * at.cos + rate.y * at.sin)
+        return -at.off(x, y), p, at.normal, curvature
 
-    return _Touching(of_deepest(depth), number, *map(of_deepest, (parameter, normal, curvature)))
+    depth, parameter, normal, curvature = jax.vmap(at_end)(*ends.T)
+    return _Touching(depth, jnp.full(LINKS, first), parameter, normal, curvature, jnp.arange(1.0, LINKS + 1))
+
+
+def _at_faces(one: PolygonChain, first: int, ends: Array) -> _Touching:
+    faces = faces_of(one)
+
+    def at_end(x, y):
+        at = nearest_face(faces, x, y)
+        k = jnp.minimum(at.number, faces.x.size - 2)
+        depth = jnp.where(faces.touchable[at.number], -at.distance, -1.0)
+        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, jnp.stack([faces.sin[k], -faces.cos[k]])
+
+    depth, piece, parameter, normal = jax.vmap(at_end)(*ends.T)
+    return _Touching(depth, piece, parameter, normal, jnp.zeros(LINKS), jnp.arange(1.0, LINKS + 1))
+
+
+def _at_corners(one: PolygonChain, first: int, own: _Whisker, angle: Array, ends: Array) -> _Touching:
+    faces, cos, sin = faces_of(one), jnp.cos(angle), jnp.sin(angle)
+    begins = ends - own.link * jnp.stack([cos, sin], axis=1)
+
+    def at(k):
+        right, up = (one.xy[k] - begins).T
+        share = (right * cos + up * sin) / own.link
+        apart = jnp.abs(up * cos - right * sin)
+        j = jnp.argmin(jnp.where((share >= 0) & (share <= 1), apart, jnp.inf))
+        x, y = begins[j, 0] + share[j] * own.link * cos[j], begins[j, 1] + share[j] * own.link * sin[j]
+        touch = at_corner(one, faces, k, x, y, cos[j], sin[j])
+        passes = (share[j] >= 0) & (share[j] <= 1) & touch.meets
+        normal = touch.side * jnp.stack([sin[j], -cos[j]])
+        depth = jnp.where(passes, -touch.gap, -1.0)
+        return depth, first + 2 * k, touch.parameter, normal, j + share[j]
+
+    depth, piece, parameter, normal, arc = of_corners(one, at)
+    return _Touching(depth, piece, parameter, normal, jnp.zeros_like(depth), arc)
 
 
 def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "links 2"]:
@@ -119,22 +159,23 @@ def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"])
 def _system(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, pose: Array):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
     ends = _ends(own, angle, pose)
-    touch = _touching(problem, own.origin, length, ends)
+    touch = _touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
     force = STIFFNESS * depth[:, None] * touch.normal
-    beyond = jnp.cumsum(force[::-1], axis=0)[::-1]  # sum of the forces at and beyond a link
+    # The share of each link by which it moves an element when it turns: all of those before it.
+    share = jnp.clip(touch.arc[:, None] - np.arange(LINKS), 0.0, 1.0)
+    beyond = share.T @ force  # sum of the forces beyond each link
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     before = jnp.append(own.upright + pose[2], angle[:-1])
     moment = own.joint * (angle - before - own.bend)
     by_angle = moment - jnp.append(moment[1:], 0.0) - own.link * (beyond[:, 1] * cos - beyond[:, 0] * sin)
-    by_pose = -jnp.append(jnp.sum(own.axes * beyond[0][:, None], axis=0), moment[0])
-    # Derivatives of the depths of all ends.
-    earlier = jnp.asarray(np.tri(LINKS))  # end i moves with link j <= i
+    by_pose = -jnp.append(jnp.sum(own.axes * jnp.sum(force, axis=0)[:, None], axis=0), moment[0])
 
+    # Derivatives of the depths of all ends.
     def moves(way):
-        turns = own.link * earlier * (way[:, :1] * -sin + way[:, 1:] * cos)
+        turns = own.link * share * (way[:, :1] * -sin + way[:, 1:] * cos)
         shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
-        return jnp.concatenate([turns, shifts, jnp.zeros((LINKS, 1))], axis=1)
+        return jnp.concatenate([turns, shifts, jnp.zeros_like(way[:, :1])], axis=1)
 
     into, along = moves(touch.normal), moves(touch.normal[:, ::-1] * np.array([-1.0, 1.0]))
     stiff, bends = jnp.where(touch.depth > 0, STIFFNESS, 0.0), -STIFFNESS * depth * touch.curvature
@@ -217,28 +258,35 @@ def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""])
 def landing_of(problem: ChainProblem, u: Scalar, rods: Rods) -> Landing:
     """The contacts of rods at rest."""
     each, room = of_each(problem.bodies(u), _whisker), problem.contacts
-    firsts = jnp.asarray(np.array(problem.profile.first_pieces()))
+    owner = problem.profile.object_of
 
     def one(own, length, angle, pose):
-        ends = _ends(own, angle, pose)
-        touch = jax.tree.map(lambda leaf: leaf[::-1], _touching(problem, own.origin, length, ends))  # from the tip
+        touch = _touching(problem, own, length, angle, _ends(own, angle, pose))
+        order = jnp.argsort(-jnp.where(touch.depth > 0, touch.arc, -1.0))
+        touch = jax.tree.map(lambda leaf: leaf[order], touch)  # from the tip
         depth = jnp.maximum(touch.depth, 0.0)
-        active = depth * STIFFNESS > LEAST_FORCE
-        joins = active & jnp.append(False, active[:-1]) & (touch.number == jnp.append(-1, touch.number[:-1]))
+        active, number = depth * STIFFNESS > LEAST_FORCE, owner(touch.piece)
+        assert number is not None
+        near = (number[1:] == number[:-1]) & (touch.arc[:-1] - touch.arc[1:] < NEIGHBOURS)
+        joins = active & jnp.append(False, active[:-1] & near)
         begins = active & ~joins
-        number = jnp.where(active, jnp.cumsum(begins) - 1, room)
-        beyond = own.link * np.arange(LINKS)
+        group = jnp.where(active, jnp.cumsum(begins) - 1, room)
+        beyond = own.link * (LINKS - touch.arc)
 
         def of_group(k):
-            weight = jnp.where(number == k, depth, 0.0)
+            weight = jnp.where(group == k, depth, 0.0)
             total = jnp.sum(weight)
             some = total > 0
             deepest = jnp.argmax(weight)
-            at_tip = some & (deepest == 0)
+            at_tip = some & (beyond[deepest] < AT_TIP * own.link) & (signs[touch.piece[deepest]] <= 0)
             mean = jnp.sum(weight * beyond) / jnp.where(some, total, 1.0)
-            normal, link = touch.normal[deepest], angle[::-1][deepest]
-            into = -(jnp.cos(link) * normal[0] + jnp.sin(link) * normal[1])
-            along = -jnp.cos(link) * normal[1] + jnp.sin(link) * normal[0]  # the object's tangent is (-n_y, n_x)
+            # A corner knows its place; a curve is touched by the ends of several links.
+            mean = jnp.where(signs[touch.piece[deepest]] > 0, beyond[deepest], mean)
+            link = jnp.clip(jnp.ceil(touch.arc[deepest]).astype(int) - 1, 0, LINKS - 1)
+            normal = touch.normal[deepest]
+            into = -(jnp.cos(angle[link]) * normal[0] + jnp.sin(angle[link]) * normal[1])
+            # The object's tangent is (-n_y, n_x).
+            along = -jnp.cos(angle[link]) * normal[1] + jnp.sin(angle[link]) * normal[0]
             slack = jnp.where(at_tip, -jnp.arctan2(into, jnp.abs(along)), mean)
             numbers = jnp.stack([STIFFNESS * total, touch.parameter[deepest], slack])
             phase = jnp.where(at_tip, int(Phase.tip), int(Phase.tangential))
@@ -246,11 +294,12 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: Rods) -> Landing:
                 jnp.where(some, numbers, 0.0),
                 jnp.where(some, phase, int(Phase.free)),
                 jnp.where(along < 0, -1.0, 1.0),
-                jnp.where(some, firsts[touch.number[deepest]], 0),
+                jnp.where(some, touch.piece[deepest], 0),
             )
 
         return *jax.vmap(of_group)(jnp.arange(room)), jnp.sum(begins)
 
+    signs = corner_signs(problem.profile)
     z, phase, side, piece, count = jax.vmap(one)(each, problem.length, rods.angle, _poses(problem, rods.springs))
     state = ChainState(jnp.ravel(phase), jnp.ravel(side), jnp.ravel(piece))
     return Landing(jnp.reshape(z, (-1, 3)), state, rods.rests, jnp.any(count > room))

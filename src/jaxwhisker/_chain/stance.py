@@ -14,6 +14,8 @@ from jaxwhisker._chain.shaft import BaseAt, Shaft, shaft_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, of_each
 from jaxwhisker._equilibrium.point import Contacts
 
+FLAT = 1e-8  # difference of curvatures that may be rounding
+
 
 def bases_of(problem: ChainProblem, u: Scalar, pose: BasePoses) -> BaseAt:
     """Where bases with these coordinates are; fields (whiskers,)."""
@@ -65,4 +67,5 @@ def opens(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainStat
     # Towards the object, the normal of the whisker's direction is on its left if it runs along the object's tangent.
     kappa = shaft.curvature[1:, 0] * state.side
     # The object leaves its tangent by curvature / 2 upwards; the shaft must leave it less, or downwards.
-    return jnp.all((state.phase != Phase.tangential) | (turn - kappa * speed > 0))
+    # A straight shaft may lie on a face.
+    return jnp.all((state.phase != Phase.tangential) | (turn - kappa * speed > -FLAT))

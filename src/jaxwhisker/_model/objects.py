@@ -34,6 +34,10 @@ class Objects(AbstractProfile):
         return any(one.has_edges for one in self.each)
 
     @property
+    def is_concave(self):
+        return any(one.is_concave for one in self.each)
+
+    @property
     def has_pieces(self):
         return True
 

@@ -102,6 +102,11 @@ class AbstractProfile(eqx.Module):
         return False
 
     @property
+    def is_concave(self) -> bool:
+        """Whether the profile is known to have inner corners or to be hollow."""
+        return False
+
+    @property
     def objects(self) -> tuple["AbstractProfile", ...]:
         """The separate objects."""
         return (self,)

@@ -38,6 +38,7 @@ from jaxwhisker._model.assembly import (
 )
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.objects import as_one
+from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -76,6 +77,11 @@ class _OfObject(type(eqx.Module)):
                 checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
+
+
+def _is_known(one: AbstractProfile) -> bool:
+    """Whether several contacts are modelled for this kind of object."""
+    return not one.has_edges or isinstance(one, (Polygon, Box))
 
 
 def _in_space(value: Any) -> bool:
@@ -147,6 +153,8 @@ class Scene(AbstractScene, metaclass=_OfObject):
         checks.count("contacts", self.contacts)
         if self.contacts > 1:
             self._check_several()
+        elif self.profile.is_concave:
+            checks.fail("contacts", "at least 2 for a hollow object, or one with inner corners", "1")
 
     def _check_several(self):
         """Check that all parts of a scene with several contacts of one whisker are modelled."""
@@ -156,7 +164,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
             (self.friction is not None, "friction", "None with several contacts of one whisker"),
             (self.support.on_shafts, "support", "without springs or foundations on shafts for several contacts"),
             (not isinstance(self.rod, Shooting), "rod", "Shooting() for several contacts"),
-            (self.profile.has_edges, "profile", "without edges for several contacts"),
+            (not all(map(_is_known, self.profile.objects)), "profile", "of smooth objects, polygons and boxes"),
             ("crossing" in (self.detect or ()), "detect", 'without "crossing" for several contacts'),
         )
         for is_there, name, allowed in unknown:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,9 @@ from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.implicit import sides_of_events, solved
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
+from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
-from jaxwhisker._equilibrium.contact import FORCE, SLACK
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
 from jaxwhisker._equilibrium.point import Contacts, at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
@@ -55,7 +56,7 @@ def problem_now(scene: Scene) -> ChainProblem:
     return canonical_problem_now(canonical(scene), scene.contacts)
 
 
-class Chain(Mechanics):
+class SeveralContacts(Mechanics):
     """Whiskers in the plane with several contacts."""
 
     most_numbers, block, result, events = 64, BLOCK, Result, Events
@@ -177,11 +178,19 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
     def if_touching(values: Array) -> Array:
         return jnp.where(touching, values, 0.0)
 
-    def at_contacts(values: Array) -> Array:
-        return jnp.where(touches, values, 0.0)
-
     number = problem.profile.object_of(each.piece)
-    several = len(problem.profile.objects) > 1
+    assert number is not None
+    contact = ContactFields(
+        force=own[..., FORCE] * unit.force,
+        slope=jnp.arctan2(chain.contact.sin, chain.contact.cos),
+        arc=(problem.length[:, None] - chain.beyond) * unit.length,
+        x=chain.contact.x * unit.length,
+        y=chain.contact.y * unit.length,
+        phase=each.phase,
+        number=number + 1,
+    )
+    contact = jax.tree.map(lambda leaf: jnp.where(touches, leaf, jnp.zeros_like(leaf)), contact)
+    contact = _apart(problem, each, contact)
     values = State(
         base_x=here.x * unit.length,
         base_y=here.y * unit.length,
@@ -189,14 +198,47 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
         fx=if_touching(-base.force_x) * unit.force,
         fy=if_touching(-base.force_y) * unit.force,
         mz=if_touching(-base.bend) * unit.moment,
-        contact_force=at_contacts(own[..., FORCE]) * unit.force,
-        contact_slope=at_contacts(jnp.arctan2(chain.contact.sin, chain.contact.cos)),
-        contact_arc=at_contacts(problem.length[:, None] - chain.beyond) * unit.length,
-        contact_x=at_contacts(chain.contact.x) * unit.length,
-        contact_y=at_contacts(chain.contact.y) * unit.length,
-        phase=each.phase,
-        contact_object=jnp.where(touches, number + 1, 0) if several and number is not None else None,
+        contact_force=contact.force,
+        contact_slope=contact.slope,
+        contact_arc=contact.arc,
+        contact_x=contact.x,
+        contact_y=contact.y,
+        phase=contact.phase,
+        contact_object=contact.number if len(problem.profile.objects) > 1 else None,
     )
     scale = jnp.where(jnp.isfinite(u), 1 + jnp.abs(u), jnp.inf)
     largest = jnp.maximum(jnp.max(jnp.abs(residual)) / scale, jnp.max(wrong))
     return values, jnp.where(jnp.any(at.backwards), jnp.inf, largest), None
+
+
+class ContactFields(NamedTuple):
+    """The fields of a state that belong to contacts, (whiskers, contacts)."""
+
+    force: Float[Array, "whiskers contacts"]
+    slope: Float[Array, "whiskers contacts"]
+    arc: Float[Array, "whiskers contacts"]
+    x: Float[Array, "whiskers contacts"]
+    y: Float[Array, "whiskers contacts"]
+    phase: Int[Array, "whiskers contacts"]
+    number: Int[Array, "whiskers contacts"]  # of the object; 0 without contact
+
+
+def _apart(problem: ChainProblem, state: ChainState, contact: ContactFields) -> ContactFields:
+    """The contacts, with a tip that is in an inner corner as two contacts, one with each face, if there is room."""
+    signs, profile = corner_signs(problem.profile), problem.profile
+    pinned = (state.phase[:, 0] == Phase.tip) & (signs[state.piece[:, 0]] < 0) & ~state.touches[:, -1]
+    if problem.contacts == 1 or not profile.has_edges:
+        return contact
+    piece = jnp.where(pinned, state.piece[:, 0], 0)
+    low, high = (jnp.where(pinned, end, 0.0) for end in profile.ends_on(piece))
+    before, after = (jax.vmap(profile.point_on)(piece, end) for end in (low, high))
+    first, last = (jnp.arctan2(at.sin, at.cos) for at in (before, after))
+    turn = jnp.where(pinned, jnp.sin(last - first), 1.0)
+    force, slope = contact.force[:, 0], contact.slope[:, 0]
+    shares = jnp.sin(last - slope) / turn, jnp.sin(slope - first) / turn
+    moved = jax.tree.map(lambda leaf: jnp.concatenate([leaf[:, :1], leaf[:, :-1]], axis=1), contact)
+    two = moved._replace(
+        force=moved.force.at[:, 0].set(force * shares[0]).at[:, 1].set(force * shares[1]),
+        slope=moved.slope.at[:, 0].set(first).at[:, 1].set(last),
+    )
+    return jax.tree.map(lambda a, b: jnp.where(pinned[:, None], a, b), two, contact)

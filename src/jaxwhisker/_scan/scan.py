@@ -105,11 +105,11 @@ def mechanics_of(scene: AbstractScene) -> type[Mechanics]:
 
 
 def mechanics_in(*, space: bool, contacts: int) -> type[Mechanics]:
-    """The mechanics of the plane, of several contacts there, or of space; the last two are loaded if they are needed."""
+    """The mechanics of the plane, of several contacts there, or of space; the last two are only loaded if needed."""
     if contacts > 1:
-        from jaxwhisker._scan.chain import Chain
+        from jaxwhisker._scan.chain import SeveralContacts
 
-        return Chain
+        return SeveralContacts
     if not space:
         return Plane
     from jaxwhisker._scan.space import Space
