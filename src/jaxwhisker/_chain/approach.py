@@ -30,7 +30,7 @@ def all_free(problem: ChainProblem) -> tuple[Float[Array, "rows 3"], ChainState]
 
 def is_clear(problem: ChainProblem, u: Scalar) -> Bool[Array, ""]:
     """Whether unloaded whiskers are clear of all objects."""
-    return jnp.all(stance_of(problem, u, problem.rest, *all_free(problem)).distance > CLEAR)
+    return jnp.all(stance_of(problem, u, problem.rest, *all_free(problem))[0].distance > CLEAR)
 
 
 def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
@@ -43,15 +43,20 @@ def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
     base = problem.in_scene(jnp.zeros(()), problem.rest)
     middle = jnp.where(whole, problem.profile.vertex()[0] - jnp.mean(base.x), first_stop)
 
-    def outermost(way):
-        """The place beyond the last one at which whiskers are not clear."""
-        clear = jax.lax.map(lambda d: is_clear(problem, middle + way * d), jnp.asarray(PLACES), batch_size=16)
-        last = jnp.max(jnp.where(clear, -1, jnp.arange(PLACES.size)))
-        return middle + way * jnp.asarray(PLACES)[jnp.minimum(last + 1, PLACES.size - 1)]
-
     onwards = problem.onwards.astype(float)
+    # Places before and behind the middle, and the middle itself.
+    ways = np.concatenate([-PLACES, PLACES])
+    clear = jax.vmap(lambda way: is_clear(problem, middle + onwards * way))(jnp.asarray(ways))
+    each = jnp.reshape(clear, (2, -1))
+
+    def outermost(clear):
+        """The place beyond the last one at which whiskers are not clear."""
+        last = jnp.max(jnp.where(clear, -1, jnp.arange(PLACES.size)))
+        return jnp.asarray(PLACES)[jnp.minimum(last + 1, PLACES.size - 1)]
+
+    before, behind = outermost(each[0]), outermost(each[1])
     softness = jnp.max(jnp.abs(problem.displacement(jnp.full_like(problem.rest, HIGHEST_FORCE).at[:, 1:].set(0.0))))
-    far = outermost(onwards) + onwards * (REACH * jnp.max(problem.length) + softness)
-    here = ~whole & is_clear(problem, middle)
-    start = jnp.where(here, middle, outermost(-onwards))
+    far = middle + onwards * (behind + REACH * jnp.max(problem.length) + softness)
+    here = ~whole & each[0, 0]
+    start = jnp.where(here, middle, middle - onwards * before)
     return Limits(start, far, far)

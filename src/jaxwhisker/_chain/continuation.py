@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free, limits_of
+from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
@@ -45,7 +46,7 @@ BEHIND = 1e-6  # distance by which an event may lie behind the step in which it 
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
 MARGIN_NOISE = 1e-11
 RATE_NOISE = 1e-9
-NODES = 160  # for every whisker on every leg of the drive, and as many more
+NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
 BEYOND = (3e-3, 2e-2)  # distances of the control behind a loss at which rods flow, dimensionless
 TRIES = 6  # of the contacts in which whiskers come to rest
@@ -92,8 +93,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         kind = jnp.asarray(NO_EVENT)
         pending = Node(point, z, still, still, state, state, -jnp.abs(start - stops[0]), kind, nobody)
         new = NewContact(zero, jnp.zeros(3), zero, one, zero)
-        shape = jax.eval_shape(lambda: stance_of(problem, start, problem.rest, z, state))
-        stance = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shape)
+        count = sum(3 if one.has_edges else 2 for one in problem.profile.objects)
+        unknown = jnp.zeros((problem.length.size, count)), jnp.zeros(problem.length.size)
+        stance = ChainStance(*unknown, jnp.asarray(True), one)
         return MarchOfChain(
             task=jnp.asarray(int(Task.arrive)),
             state=state,
@@ -132,14 +134,14 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         solution = solve_points(problem, state, self._condition(march, stop), guess)
         point, newton = solution.point, solution.newton
         tangent, length = unit(newton.tangent, point.z)
-        stance = stance_of(problem, point.u, newton.pose, point.z, state)
+        stance, candidates = stance_of(problem, point.u, newton.pose, point.z, state)
         ahead = dot(tangent, march.tangent, scale_of(march.point.z))
         forwards = jnp.where(locating & (ahead < 0), -1.0, 1.0)
         stable = begins | (march.direction * forwards * tangent.u > 0)
         onwards = self._gap_grows(march, solution, jnp.sign(tangent.u) * march.direction / length)
         arrives = (onwards | (target.number != RELEASE)) & ~march.slips
         stable = jnp.where(march.task == Task.arrive, arrives, stable)
-        return TrialOfChain(solution, tangent, stance, guess, state, stop, jnp.asarray(last), stable)
+        return TrialOfChain(solution, tangent, stance, candidates, guess, state, stop, jnp.asarray(last), stable)
 
     def _gap_grows(self, march: MarchOfChain, solution: ChainSolution, sign: Scalar) -> Bool[Array, ""]:
         """Whether the contact that has just been released opens as the drive moves on."""
@@ -204,7 +206,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         state = march.state
         free, tip = state.phase == Phase.free, state.phase == Phase.tip
         outermost = jnp.arange(z.shape[0]) % self.problem.contacts == 0
-        touch = stance.candidates.gap + TOUCHING
+        touch = stance.gap + TOUCHING
         release = jnp.where(free, FAR, z[:, FORCE])
         slack = z[:, SLACK]
         changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
@@ -225,7 +227,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         backwards = march.point.z[:, SLACK] < -np.pi / 2
         slack = jnp.where(tip & ~backwards, -slack, slack)
         outermost = jnp.arange(slack.size) % self.problem.contacts == 0
-        still = jnp.zeros_like(march.stance.candidates.gap)
+        still = jnp.zeros_like(march.stance.gap)
         force = jnp.where(free, 0.0, tangent.z[:, FORCE])
         along = jnp.where(free, 0.0, tangent.z[:, PARAMETER])
         return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, jnp.zeros(1)
@@ -239,7 +241,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         z = self._z_before(march, trial)
         there = self.margins(march, z, trial.point.u, trial.stance, trial.stop)
         crossed = first_crossed(here, there, MARGIN_NOISE, problem.rows, (TOUCH, AT_STOP), ignored)
-        new = self._new_contact(march, z, trial.stance, jnp.minimum(crossed.entry, here[0].size - 1))
+        new = self._new_contact(march, z, trial.candidates, jnp.minimum(crossed.entry, here[0].size - 1))
         touches = crossed.number == TOUCH
         rows = jnp.where(touches, jnp.arange(problem.rows) == new.row, crossed.whiskers)
         limit = jnp.where((march.state.phase == Phase.tip) & (z[:, SLACK] < -np.pi / 2), -np.pi, 0.0)
@@ -247,10 +249,10 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
         return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
 
-    def _new_contact(self, march: MarchOfChain, z: Array, stance: ChainStance, entry: Array) -> NewContact:
+    def _new_contact(self, march: MarchOfChain, z: Array, candidates: Candidate, entry: Array) -> NewContact:
         """The contact of a candidate, by its number among those of all whiskers."""
-        problem, count = self.problem, stance.candidates.gap.shape[1]
-        own = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[2:]))[entry], stance.candidates)
+        problem, count = self.problem, candidates.gap.shape[1]
+        own = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[2:]))[entry], candidates)
         whisker = entry // count
         phase, slack = (values[whisker] for values in of_whiskers(problem, (march.state.phase, z[:, SLACK])))
         beyond = jnp.where(phase == Phase.tip, 0.0, slack)
@@ -285,15 +287,6 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         leaving, arriving = (self.rates(march, tangent) for tangent in (march.tangent, end))
         dips, share = first_dip(here, there, leaving, arriving, march.step, MARGIN_NOISE)
         return dips & ~violated, share
-
-    def revised(self, march: MarchOfChain, trial: TrialOfChain, good, shorter: MarchOfChain):
-        violated, target = self.first_violated(march, trial, march.step)
-        full = violated & (target.number == TOUCH) & self._is_full(march, target.first.row)
-        return good & ~full, shorter, good & full & (march.step < CLOSE)
-
-    def astray(self, march: MarchOfChain):
-        one = self.problem.contacts == 1
-        return march.stopped(Status.second_contact if one else Status.too_many_contacts)
 
     def loss(self, march: MarchOfChain, trial: TrialOfChain):
         return Loss(trial.stable, jnp.asarray(march.step < LOSS_BRACKET))
@@ -379,11 +372,12 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         # The contact that begins must be as it was expected to be.
         new = trial.point.z[target.first.row, SLACK]
         tip = target.first.phase == Phase.tip
+        good &= ~(begins & self._is_full(march, target.first.row))
         good &= ~begins | jnp.where(
             tip, new < MARGIN_NOISE, (new > -MARGIN_NOISE) & (new < self._length(target.first.row))
         )
         ignored = [
-            jnp.zeros_like(trial.stance.candidates.gap, bool),
+            jnp.zeros_like(trial.stance.gap, bool),
             *((target.number == kind) & target.whiskers for kind in OF_ROWS),
             jnp.reshape(target.number == AT_STOP, 1),
         ]
@@ -406,7 +400,10 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         phase = jnp.where(tip, int(Phase.tangential), int(Phase.tip))
         changed = first._replace(phase=phase, numbers=first.numbers.at[SLACK].set(0.0))
         again = march.replace(target=march.target._replace(first=changed))
-        return [(other, again)], []
+        full = self._begins(march) & self._is_full(march, first.row)
+        one = self.problem.contacts == 1
+        ended = march.stopped(Status.second_contact if one else Status.too_many_contacts)
+        return [(full & (march.step < CLOSE), ended), (other & ~full, again)], []
 
     def event_node(self, march: MarchOfChain, trial: TrialOfChain, found):
         problem, target, state, z = self.problem, march.target, trial.state, trial.point.z
@@ -490,8 +487,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         problem, state, z = self.problem, march.state, trial.point.z
         margins = self.margins(march, z, trial.point.u, trial.stance, trial.point.u + march.direction)
         pulls, other = margins[RELEASE] < -MARGIN_NOISE, margins[PHASE] < -MARGIN_NOISE
-        deep = jnp.ravel(trial.stance.candidates.gap) < -DEEP
-        new = self._new_contact(march, z, trial.stance, jnp.argmin(jnp.ravel(trial.stance.candidates.gap)))
+        deep = jnp.ravel(trial.stance.gap) < -DEEP
+        new = self._new_contact(march, z, trial.candidates, jnp.argmin(jnp.ravel(trial.stance.gap)))
         first_pull = pulls & (jnp.cumsum(pulls) == 1)
         less = removed(z, state, first_pull, problem.contacts)
         tip = state.phase == Phase.tip

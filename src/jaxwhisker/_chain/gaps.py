@@ -17,7 +17,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.polygons import AtFace, at_corner, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.shaft import Shaft, cell_of
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.objects import Objects
+from jaxwhisker._model.objects import Objects, of_each_object
 from jaxwhisker._model.polygon_chain import PolygonChain
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
@@ -52,16 +52,14 @@ def gaps_of(profile: Objects, shaft: Shaft, reach: Scalar) -> Gaps:
 
     `reach` is the length of the whisker.
     """
-    each, nearest = [], []
-    for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
-        if isinstance(one, PolygonChain):
-            candidates, distance = _of_polygon(one, first, shaft)
-        else:
-            candidates, distance = _of_smooth(one, first, shaft, reach)
-        each += candidates
-        nearest.append(distance)
-    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
-    return Gaps(stacked, jnp.min(jnp.stack(nearest)))
+
+    def of_one(one, first):
+        is_polygon = isinstance(one, PolygonChain)
+        candidates, distance = _of_polygon(one, first, shaft) if is_polygon else _of_smooth(one, first, shaft, reach)
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *candidates), distance
+
+    candidates, distance = zip(*of_each_object(profile, of_one), strict=True)
+    return Gaps(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *candidates), jnp.min(jnp.stack(distance)))
 
 
 class Outline(NamedTuple):
@@ -100,7 +98,9 @@ def nearest(one: AbstractProfile, outline: Outline, x: Scalar, y: Scalar) -> Sca
     return jax.lax.fori_loop(0, NEAREST_STEPS, step, start)
 
 
-def _of_smooth(one: AbstractProfile, first: int, shaft: Shaft, reach: Scalar) -> tuple[list[Candidate], Scalar]:
+def _of_smooth(
+    one: AbstractProfile, first: Int[Array, ""], shaft: Shaft, reach: Scalar
+) -> tuple[list[Candidate], Scalar]:
     outline = outline_of(one, shaft.x[-1, -1], shaft.y[-1, -1], 1.5 * reach)
     spacing = outline.spacing
     found = jax.vmap(jax.vmap(lambda x, y: nearest(one, outline, x, y)))(shaft.x, shaft.y)
@@ -138,7 +138,7 @@ def _of_smooth(one: AbstractProfile, first: int, shaft: Shaft, reach: Scalar) ->
     astray = ~((t > -0.5) & (t < 1.5) & (jnp.abs(p - p0) < 3 * spacing + jnp.abs(found[segment, index] - p0)))
     t, p = jnp.where(astray, t0, t), jnp.where(astray, p0, p)
     there, (x, y), (dx, dy) = one.point(p), cell.point(t), cell.direction(t)
-    piece = jnp.asarray(first)
+    piece = first
     on_shaft = Candidate(
         jnp.where(some, there.off(x, y), FAR),
         jnp.stack([jnp.zeros(()), p, cell.beyond + t * cell.length]),
@@ -160,7 +160,7 @@ def _of_smooth(one: AbstractProfile, first: int, shaft: Shaft, reach: Scalar) ->
     return [on_shaft, at_tip], jnp.min(gap)
 
 
-def _of_polygon(one: PolygonChain, first: int, shaft: Shaft) -> tuple[list[Candidate], Scalar]:
+def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tuple[list[Candidate], Scalar]:
     faces = faces_of(one)
     near = jax.vmap(jax.vmap(lambda x, y: nearest_face(faces, x, y)))(shaft.x, shaft.y)
     corners, distance = _past_corners(one, first, shaft)
@@ -168,7 +168,7 @@ def _of_polygon(one: PolygonChain, first: int, shaft: Shaft) -> tuple[list[Candi
     return candidates, jnp.minimum(jnp.min(near.distance), distance)
 
 
-def _tip_at_face(one: PolygonChain, first: int, shaft: Shaft, near: AtFace) -> Candidate:
+def _tip_at_face(one: PolygonChain, first: Int[Array, ""], shaft: Shaft, near: AtFace) -> Candidate:
     """The tip, before the nearest face."""
     faces, tip = faces_of(one), jax.tree.map(lambda leaf: leaf[0, 0], near)
     cos, sin = faces.cos[tip.number], faces.sin[tip.number]
@@ -185,7 +185,7 @@ def _tip_at_face(one: PolygonChain, first: int, shaft: Shaft, near: AtFace) -> C
     )
 
 
-def _past_corners(one: PolygonChain, first: int, shaft: Shaft) -> tuple[Candidate, Scalar]:
+def _past_corners(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tuple[Candidate, Scalar]:
     """The corner that is nearest to the shaft, of those that it may touch, and the distance of the nearest one."""
     faces = faces_of(one)
 
@@ -220,7 +220,7 @@ def _past_corners(one: PolygonChain, first: int, shaft: Shaft) -> tuple[Candidat
     return found, jnp.min(apart)
 
 
-def _along_faces(one: PolygonChain, first: int, shaft: Shaft) -> Candidate:
+def _along_faces(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> Candidate:
     """The point of the shaft that is nearest to a face to which it is parallel there."""
     faces = faces_of(one)
 

@@ -30,7 +30,7 @@ class NewContact(NamedTuple):
 class ChainStance(NamedTuple):
     """What the march asks about a point of the path, besides its equations."""
 
-    candidates: Candidate  # fields (whiskers, candidates)
+    gap: Float[Array, "whiskers candidates"]  # of contacts that may begin
     distance: Float[Array, " whiskers"]  # from the nearest object
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
@@ -59,6 +59,7 @@ class TrialOfChain(NamedTuple):
     solution: ChainSolution
     tangent: Point  # of unit length in the scale of the point
     stance: ChainStance
+    candidates: Candidate  # contacts that may begin; fields (whiskers, candidates)
     guess: Point
     state: ChainState  # in which it is solved for
     stop: Scalar  # the control that the drive moves to

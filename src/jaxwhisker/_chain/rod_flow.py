@@ -21,6 +21,7 @@ from jaxwhisker._chain.problem import BasePoses, ChainProblem
 from jaxwhisker._chain.shaft import Shaft
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of, of_each
 from jaxwhisker._equilibrium.point import Contacts
+from jaxwhisker._model.objects import of_each_object
 from jaxwhisker._model.polygon_chain import PolygonChain
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._rod.rod import Section
@@ -95,16 +96,16 @@ class _Touching(NamedTuple):
 
 
 def _touching(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, ends: Array) -> _Touching:
-    profile, each = problem.profile, []
-    for one, first in zip(profile.objects, profile.first_pieces(), strict=True):
-        if isinstance(one, PolygonChain):
-            each += [_at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)]
-        else:
-            each.append(_at_curve(one, first, own, length, ends))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *each)
+    def of_one(one, first):
+        if not isinstance(one, PolygonChain):
+            return _at_curve(one, first, own, length, ends)
+        both = _at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *both)
+
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of_each_object(problem.profile, of_one))
 
 
-def _at_curve(one: AbstractProfile, first: int, own: _Whisker, length: Scalar, ends: Array) -> _Touching:
+def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Whisker, length: Scalar, ends: Array) -> _Touching:
     outline = outline_of(one, own.origin[0], own.origin[1], 1.5 * length)
 
     def at_end(x, y):
@@ -117,7 +118,7 @@ def _at_curve(one: AbstractProfile, first: int, own: _Whisker, length: Scalar, e
     return _Touching(depth, jnp.full(LINKS, first), parameter, normal, curvature, jnp.arange(1.0, LINKS + 1))
 
 
-def _at_faces(one: PolygonChain, first: int, ends: Array) -> _Touching:
+def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _Touching:
     faces = faces_of(one)
 
     def at_end(x, y):
@@ -130,7 +131,7 @@ def _at_faces(one: PolygonChain, first: int, ends: Array) -> _Touching:
     return _Touching(depth, piece, parameter, normal, jnp.zeros(LINKS), jnp.arange(1.0, LINKS + 1))
 
 
-def _at_corners(one: PolygonChain, first: int, own: _Whisker, angle: Array, ends: Array) -> _Touching:
+def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Whisker, angle: Array, ends: Array) -> _Touching:
     faces, cos, sin = faces_of(one), jnp.cos(angle), jnp.sin(angle)
     begins = ends - own.link * jnp.stack([cos, sin], axis=1)
 

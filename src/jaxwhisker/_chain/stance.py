@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState, chain_of
-from jaxwhisker._chain.gaps import Gaps, gaps_of
+from jaxwhisker._chain.gaps import Candidate, Gaps, gaps_of
 from jaxwhisker._chain.march_state import ChainStance
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
@@ -29,8 +29,10 @@ def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, st
     return of_each(problem.bodies(u), shaft_of, *own, bases_of(problem, u, pose))
 
 
-def stance_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> ChainStance:
-    """The stance at a point of the path."""
+def stance_of(
+    problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState
+) -> tuple[ChainStance, Candidate]:
+    """The stance at a point of the path, and the contacts that may begin."""
     bodies = problem.bodies(u)
 
     def one(body: WhiskerAtObject, z, state, base) -> tuple[Gaps, Bool[Array, ""]]:
@@ -46,7 +48,7 @@ def stance_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, st
 
     rates = jax.jvp(places, (u,), (jnp.ones_like(u),))[1]
     speed = jnp.sqrt(jnp.max(jnp.maximum(rates[0] ** 2 + rates[1] ** 2, rates[2] ** 2 + rates[3] ** 2)))
-    return ChainStance(gaps.candidates, gaps.distance, jnp.all(open_), speed)
+    return ChainStance(gaps.candidates.gap, gaps.distance, jnp.all(open_), speed), gaps.candidates
 
 
 def opens(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, shaft: Shaft) -> Bool[Array, ""]:

@@ -1,5 +1,6 @@
 """Several objects in one scene."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -106,6 +107,27 @@ class Objects(AbstractProfile):
 
     def __str__(self):
         return "; ".join(map(str, self.each))
+
+
+def of_each_object(profile: Objects, function: Callable[[Any, Int[Array, ""]], Any]) -> list[Any]:
+    """A function of each object and the number of its first piece.
+
+    Objects that differ in numbers only are computed together, which compiles faster.
+    """
+    groups: dict[Any, list[int]] = {}
+    for k, one in enumerate(profile.objects):
+        leaves, structure = jax.tree.flatten(one)
+        groups.setdefault((structure, tuple(map(jnp.shape, leaves))), []).append(k)
+    firsts, each = profile.first_pieces(), {}
+    for numbers in groups.values():
+        some = [profile.objects[k] for k in numbers]
+        if len(some) == 1:
+            each[numbers[0]] = function(some[0], jnp.asarray(firsts[numbers[0]]))
+            continue
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(jnp.broadcast_arrays(*leaves)), *some)
+        found = jax.vmap(function)(stacked, jnp.asarray([firsts[k] for k in numbers]))
+        each |= {k: jax.tree.map(lambda leaf, j=j: leaf[j], found) for j, k in enumerate(numbers)}
+    return [each[k] for k in range(len(firsts))]
 
 
 class OneOf(Objects):
