@@ -7,13 +7,14 @@ a hollow. If not, the drive comes from afar along its line.
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.stance import stance_of
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._path.continuation import Limits
 
 CLEAR = 1e-9  # lengths: distance of whiskers that are clear of an object
@@ -28,9 +29,9 @@ def all_free(problem: ChainProblem) -> tuple[Float[Array, "rows 3"], ChainState]
     return jnp.zeros((rows, 3)), ChainState(jnp.full(rows, int(Phase.free)), jnp.ones(rows), jnp.zeros(rows, int))
 
 
-def is_clear(problem: ChainProblem, u: Scalar) -> Bool[Array, ""]:
-    """Whether unloaded whiskers are clear of all objects."""
-    return jnp.all(stance_of(problem, u, problem.rest, *all_free(problem))[0].distance > CLEAR)
+def clearance(problem: ChainProblem, u: Scalar) -> Float[Array, ""]:
+    """Least distance of the unloaded whiskers from all objects."""
+    return jnp.min(stance_of(problem, u, problem.rest, *all_free(problem))[0].distance)
 
 
 def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
@@ -46,17 +47,16 @@ def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
     onwards = problem.onwards.astype(float)
     # Places before and behind the middle, and the middle itself.
     ways = np.concatenate([-PLACES, PLACES])
-    clear = jax.vmap(lambda way: is_clear(problem, middle + onwards * way))(jnp.asarray(ways))
-    each = jnp.reshape(clear, (2, -1))
+    each = jnp.reshape(jax.vmap(lambda way: clearance(problem, middle + onwards * way))(jnp.asarray(ways)), (2, -1))
 
-    def outermost(clear):
-        """The place beyond the last one at which whiskers are not clear."""
-        last = jnp.max(jnp.where(clear, -1, jnp.arange(PLACES.size)))
+    def outermost(distances):
+        """The place beyond the last one at which whiskers are close to an object."""
+        last = jnp.max(jnp.where(distances > 2 * MARGIN, -1, jnp.arange(PLACES.size)))
         return jnp.asarray(PLACES)[jnp.minimum(last + 1, PLACES.size - 1)]
 
     before, behind = outermost(each[0]), outermost(each[1])
     softness = jnp.max(jnp.abs(problem.displacement(jnp.full_like(problem.rest, HIGHEST_FORCE).at[:, 1:].set(0.0))))
     far = middle + onwards * (behind + REACH * jnp.max(problem.length) + softness)
-    here = ~whole & each[0, 0]
+    here = ~whole & (each[0, 0] > CLEAR)
     start = jnp.where(here, middle, middle - onwards * before)
     return Limits(start, far, far)

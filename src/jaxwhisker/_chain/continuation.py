@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free, limits_of
+from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
     AT_STOP,
@@ -48,7 +49,10 @@ MARGIN_NOISE = 1e-11
 RATE_NOISE = 1e-9
 NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
-BEYOND = (3e-3, 2e-2)  # distances of the control behind a loss at which rods flow, dimensionless
+# Distances of the control behind a loss at which rods flow, dimensionless: coarse rods may still be stable close to it.
+BEYOND = (3e-3, 2e-2, 1e-1)
+SLIPS = 0.02  # along the path, from where a contact slips over an end
+SAME = 1e-3  # difference of contacts that have not gone anywhere
 TRIES = 6  # of the contacts in which whiskers come to rest
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
 AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
@@ -110,7 +114,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             direction=direction,
             travel=pending.travel,
             pending=pending,
-            flow=ChainFlow(jnp.asarray(0.0), start, zero),
+            flow=ChainFlow(jnp.asarray(0.0), z, start, zero),
             count=zero,
             status=jnp.asarray(int(Status.ok)),
             rate=one,
@@ -469,13 +473,19 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         at_loss = march.point.u == march.flow.u
         onwards = march.replace(point=trial.point._replace(u=march.flow.u))
         revised, wrong = self._revised_landing(march, trial)
+        before = march.pending
+        same = (
+            jnp.where(state_differs(march.state, before.before), jnp.inf, 0.0)
+            + jnp.max(jnp.abs(trial.point.z - before.z_before) / scale_of(before.z_before))
+        ) < SAME
+        stays = snapped & at_loss & same
         again = march.flow.tries < TRIES
         return Arrival(
             node,
-            converged & trial.stance.opens & (~snapped | (at_loss & ~wrong)),
+            converged & trial.stance.opens & (~snapped | (at_loss & ~wrong & ~same)),
             [
                 (snapped & converged & wrong & again, revised),
-                (snapped & (~converged | wrong), self._flow_again(march)),
+                (snapped & (~converged | wrong) | stays, self._flow_again(march)),
                 (snapped & ~at_loss, onwards),
                 (~converged, march.stopped(Status.lost)),
                 (~trial.stance.opens, march.stopped(Status.not_convex)),
@@ -506,12 +516,13 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
     def _flow_again(self, march: MarchOfChain) -> MarchOfChain:
         """The state in which rods flow at a control further behind the loss, or the march ends."""
         farther = march.flow.beyond < BEYOND[-1]
-        before = march.pending
+        before, beyond = march.pending, jnp.asarray(BEYOND)
+        beyond = beyond[jnp.minimum(jnp.sum(beyond <= march.flow.beyond), len(BEYOND) - 1)]
         flowing = march.replace(
             task=jnp.asarray(int(Task.flow)),
             point=Point(before.z_before, march.flow.u),
             state=before.before,
-            flow=march.flow._replace(beyond=jnp.asarray(BEYOND[-1]), tries=jnp.asarray(0)),
+            flow=march.flow._replace(beyond=beyond, tries=jnp.asarray(0)),
         )
         return select(farther, flowing, march.stopped(Status.unsettled))
 
@@ -522,9 +533,11 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def to_snap(self, march: MarchOfChain):
         pending = march.node(march.point, march.tangent)
+        # A contact that slips over an end begins to flow beyond it.
+        z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
         return march.replace(
             task=jnp.asarray(int(Task.flow)),
-            flow=ChainFlow(jnp.where(march.slips, BEYOND[1], BEYOND[0]), march.point.u, jnp.asarray(0)),
+            flow=ChainFlow(jnp.where(march.slips, BEYOND[1], BEYOND[0]), z, march.point.u, jnp.asarray(0)),
             pending=pending,
             slips=jnp.asarray(False),
         )
@@ -533,9 +546,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         problem, begins = self.problem, march.task == Task.flow
         before = march.pending
         u = march.flow.u + march.direction * march.flow.beyond
-        at = evaluate(problem, march.point.z, march.point.u, march.state)
+        at = evaluate(problem, march.flow.start, march.point.u, before.before)
         pose = problem.rest + problem.displacement(at.load)
-        shafts = shafts_of(problem, march.point.u, pose, march.point.z, march.state)
+        shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
         rods = flow(problem, u, rods_of(problem, shafts, at.load), begins)
         landing = landing_of(problem, u, rods)
         each = of_whiskers(problem, (before.before.touches, landing.state.touches))
@@ -568,3 +581,8 @@ def _to_loss(march: MarchOfChain) -> Scalar:
     share = jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
     # A last step to the unstable state itself, which false position approaches for ever.
     return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)
+
+
+def state_differs(one: ChainState, other: ChainState) -> Bool[Array, ""]:
+    """Whether contacts touch in another way."""
+    return jnp.any((one.phase != other.phase) | (one.piece != other.piece))

@@ -106,8 +106,16 @@ def _of_smooth(
     found = jax.vmap(jax.vmap(lambda x, y: nearest(one, outline, x, y)))(shaft.x, shaft.y)
     at = jax.vmap(jax.vmap(one.point))(found)
     gap = jax.vmap(jax.vmap(ContactPoint.off))(at, shaft.x, shaft.y)
+    normal_x, normal_y = at.sin, -at.cos
+    # Beyond an end of the object, the end itself is nearest.
+    right, up = shaft.x - at.x, shaft.y - at.y
+    past = (found <= outline.parameters[0]) | (found >= outline.parameters[-1])
+    apart = jnp.where(past, jnp.hypot(right, up), 1.0)
+    past &= apart > 0
+    gap = jnp.where(past, apart, gap)
+    normal_x, normal_y = jnp.where(past, right / apart, normal_x), jnp.where(past, up / apart, normal_y)
     # By the arc length towards the base.
-    rate = -(shaft.cos * at.sin - shaft.sin * at.cos)
+    rate = -(shaft.cos * normal_x + shaft.sin * normal_y)
     starts, ends = shaft.starts == first, shaft.ends == first
     falls = jnp.where(starts[:, None] & (jnp.arange(gap.shape[1] - 1) == 0), 1.0, rate[:, :-1]) < 0
     rises = jnp.where(ends[:, None] & (jnp.arange(gap.shape[1] - 1) == gap.shape[1] - 2), -1.0, rate[:, 1:]) > 0
@@ -151,7 +159,7 @@ def _of_smooth(
     # Where the tip points away from the object, a point behind it is nearer.
     touches_there = (shaft.starts[1] >= 0) & (shaft.beyond[1, 0] <= 0)
     at_tip = Candidate(
-        jnp.where((into > 0) & ~touches_there, gap[0, 0], FAR),
+        jnp.where((into > 0) & ~touches_there & ~past[0, 0], gap[0, 0], FAR),
         jnp.stack([jnp.zeros(()), found[0, 0], -jnp.arctan2(into, jnp.abs(along))]),
         jnp.asarray(int(Phase.tip)),
         jnp.where(along < 0, -1.0, 1.0),

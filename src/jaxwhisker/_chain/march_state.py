@@ -40,6 +40,7 @@ class ChainFlow(NamedTuple):
     """What follows from a loss of stability."""
 
     beyond: Scalar  # distance of the control behind the loss at which whiskers come to rest
+    start: Contacts  # from where they begin to move
     u: Scalar  # the control of the loss
     tries: Int[Array, ""]
 
