@@ -30,10 +30,9 @@ from jaxwhisker._scan import panels
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.panels import POINTS, Panel, PanelEnds
-from jaxwhisker._scan.plane import Plane, problem_now
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.route import route_through
-from jaxwhisker._scan.scan import path_along
+from jaxwhisker._scan.scan import mechanics_of, path_along
 from jaxwhisker._scan.slopes import solved_states_now
 from jaxwhisker._scan.springs import held, holds, load_beyond
 from jaxwhisker._scan.state import State, base_of, state_of
@@ -100,10 +99,11 @@ def energy_balance(result: Result) -> EnergyBalance:
 def _balance(result: Result) -> EnergyBalance:
     scene = jax.tree.map(checks.as_float, result.scene)
     control = result.control if checks.is_traced(result.control) else np.asarray(result.control)
-    problem = problem_now(scene)
+    mechanics = mechanics_of(scene)
+    problem = mechanics.problem(scene)
     route, status = route_through(control)
-    path = path_along(Plane, scene, problem, route, status).path
-    memory = Plane.memory(problem, path, route.stops)
+    path = path_along(mechanics, scene, problem, route, status).path
+    memory = mechanics.memory(problem, path, route.stops)
     path = path if memory is None else memory.on(path)
     ends = panels.ends_now(problem, path)
     ends = ends._replace(control=panels.with_slopes_now(ends, problem, path, result.events, route.stops))
@@ -117,7 +117,7 @@ def _balance(result: Result) -> EnergyBalance:
     def integrals(*panel):
         panel = Panel(*panel)
         at, travel = points_now(panel)
-        state, step_status, _, solutions = solved_states_now(Plane, problem, path, at, travel, memory)
+        state, step_status, _, solutions = solved_states_now(mechanics, problem, path, at, travel, memory)
         return integrals_now(scene, panel, at, state, solutions.state.side, step_status)
 
     table, good = in_blocks(integrals, tuple(every), size)
@@ -196,7 +196,7 @@ def _integrals(
     """Work and heats by t, as coefficients of polynomials, and whether all states are known."""
     number, used = panel.start.shape[0], panel.used
     known = (status == Status.ok)[:, None]
-    state = jax.tree.map(lambda leaf: jnp.where(known, leaf, 0), state)
+    state = _where(known, state)
     work = jnp.reshape(_power(scene, control, state), (number, POINTS)) * panels.rates_of(panel)
     heat = jnp.zeros((number, POINTS, len(scene.whiskers)))
     if scene.friction is not None:
@@ -209,6 +209,15 @@ def _integrals(
     values = jnp.concatenate([work[..., None], heat], axis=-1)
     table = jnp.where(used[:, None, None], panels.coefficients(values), 0.0)
     return table, ~used | jnp.all(known.reshape(number, POINTS), axis=1)
+
+
+def _where(known: Bool[Array, "at 1"], state: State) -> State:
+    """The states where they are known, else zeros."""
+
+    def kept(leaf: Array) -> Array:
+        return jnp.where(known if leaf.ndim == known.ndim else known[..., None], leaf, 0)
+
+    return jax.tree.map(kept, state)
 
 
 def _before(table: Table, good: Bool[Array, " panels"]) -> Before:
@@ -239,7 +248,7 @@ def _at_steps(
 
     integrals = jax.vmap(one)(index, control)
     ok = (status == Status.ok) & good[index]
-    state = jax.tree.map(lambda leaf: jnp.where(ok[:, None], leaf, 0), state)
+    state = _where(ok[:, None], state)
     return integrals[:, 0], integrals[:, 1:], stored_energy(scene, state, control), ok
 
 
@@ -256,9 +265,7 @@ def _assembled(
 ) -> EnergyBalance:
     """The balance of all steps, with the losses in the snaps up to them."""
     filled = jnp.arange(events.kind.shape[0]) < events.count
-    before, after = (
-        jax.tree.map(lambda leaf: jnp.where(filled[:, None], leaf, 0), state) for state in (events.before, events.after)
-    )
+    before, after = (_where(filled[:, None], state) for state in (events.before, events.after))
     snaps = filled & is_snap(events.kind)
     at = jnp.where(filled, events.control, control[0])
     # Where contacts stick after a snap, a further event at its place may complete the change of the state.

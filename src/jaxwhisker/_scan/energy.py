@@ -6,7 +6,8 @@ t = dr/ds, the integral of F . t is F . (r1 - r0), and the energy of the whisker
 
     U = (mz^2 / (2 EI) + F . t0) s1 - F . (r1 - r0),    r0 the base, r1 the contact point, s1 the contact arc.
 
-For other whiskers, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated along the shape.
+For other whiskers, and for those that may have several contacts, EI (kappa - kappa0)^2 / 2 = M^2 / (2 EI) is integrated
+along the shape.
 
 Springs store 1/2 F . C F, with the flexibility matrix C of the support and the loads F on the bases in the drive's
 frame. If springs hold the shafts, the energies of all springs follow from their lengths, and those of whiskers and
@@ -29,6 +30,7 @@ from jaxwhisker._model.network import Flexibility
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.spring import POINTS, WEIGHTS
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.contacts import has_several, of_whisker, past_contacts
 from jaxwhisker._scan.springs import at_arcs, bases_of, held, holds, shaft_energy, spring_length, suspension
 from jaxwhisker._scan.state import State, base_of, state_of
 
@@ -75,7 +77,7 @@ def _energy(scene: Scene, state: State, control: Control | None) -> Float[Array,
         return (jax.vmap(held) if state.base_x.ndim > 1 else held)(state, jnp.asarray(control, dtype=float))
     energy = jnp.zeros(())
     for k, whisker in enumerate(scene.whiskers):
-        energy += _whisker_energy(whisker, jax.tree.map(lambda leaf, k=k: leaf[..., k], state))
+        energy += _whisker_energy(whisker, of_whisker(state, k))
     flexibility = scene.support.flexibility()
     load = _loads(scene, state, flexibility)
     # Elementwise, because jax 0.10.2 computes large batches of small matrix products incorrectly.
@@ -116,6 +118,11 @@ def _loads(scene: Scene, state: State, flexibility: Flexibility) -> Float[Array,
 
 def _whisker_energy(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
     """Energy of one whisker."""
+    if has_several(state):
+        energy = partial(_energy_past_contacts, whisker)
+        for _ in range(state.base_x.ndim):
+            energy = jax.vmap(energy)
+        return energy(state)
     if whisker.uniform:
         along = state.fx * jnp.sin(state.base_angle) - state.fy * jnp.cos(state.base_angle)
         density = state.mz**2 / (2 * whisker.base_stiffness) + along
@@ -131,13 +138,30 @@ def _whisker_energy(whisker: Whisker, state: State) -> Float[Array, "*steps"]:
         reaction = state.fx, state.fy, state.mz
         x, y = at_arcs(whisker, base_of(state), reaction, s)
         moment = (x - state.contact_x) * state.fy - (y - state.contact_y) * state.fx
-        stiffness = jax.vmap(whisker.stiffness_at)(s)
-        density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
+        density = _density(whisker, moment, s)
         return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
 
     for _ in range(state.base_x.ndim):
         integral = jax.vmap(integral)
     return integral(state)
+
+
+def _energy_past_contacts(whisker: Whisker, state: State) -> Float[Array, ""]:
+    """Energy of one whisker that may have several contacts, in one state."""
+    stretches = jnp.append(0.0, state.contact_arc[::-1])  # places that are not used are at the base
+    ends = stretches[:-1, None] + jnp.diff(stretches)[:, None] * jnp.linspace(0.0, 1.0, INTERVALS + 1)
+    ends = jnp.append(jnp.ravel(ends[:, :-1]), state.contact_arc[0])
+    if whisker.breaks is not None:
+        ends = jnp.sort(jnp.append(ends, jnp.clip(whisker.breaks, 0.0, state.contact_arc[0])))
+    s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
+    _, moment = past_contacts(whisker, state, s)
+    return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * _density(whisker, moment, s))
+
+
+def _density(whisker: Whisker, moment: Float[Array, " points"], s: Float[Array, " points"]) -> Float[Array, " points"]:
+    """Energy per arc length; a pointed tip has no stiffness and carries no moment."""
+    stiffness = jax.vmap(whisker.stiffness_at)(s)
+    return jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
 
 
 _energy_now = Program(_energy)

@@ -11,9 +11,11 @@ import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._model.scene import AbstractScene, Sensor, time_unit
+from jaxwhisker._scan.contacts import has_several
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import (
     ASSUMED,
+    CONTACT,
     DIRECTORS,
     MOTION,
     STATE,
@@ -21,6 +23,7 @@ from jaxwhisker._scan.quantities import (
     kind_of,
     quantity,
     unit_in_words,
+    with_contacts,
 )
 from jaxwhisker._scan.report import write_columns
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 
 # Columns of a deflection, and their kinds.
 POINTS = {"s": "length", "x": "length", "y": "length", "angle": "angle", "curvature": "curvature"}
-NUMBERED = ("whisker", "spring", *DIRECTORS)  # dimensions of a Dataset whose labels become parts of names
+NUMBERED = ("whisker", "spring", CONTACT, *DIRECTORS)  # dimensions of a Dataset whose labels become parts of names
 CODES = "phase 0 free, 1 tip, 2 tangential; status 0 ok"
 
 
@@ -48,15 +51,23 @@ def columns(result: Any) -> dict[str, np.ndarray]:
         checks.instance("result", result, AbstractResult, "the Result of a scan")
     check_not_batched(result, "a single simulation" if moves else "the result of a single scan")
     found = {name: np.asarray(getattr(result, name)) for name in ("time",) * moves + ("control",)}
-    for k in range(result.fx.shape[1]):
-        for name in _signals(result):
-            labels = product(*(DIRECTORS[dim] for dim in quantity(name).axes[2:]))
-            names = ["_".join([f"{name}_{k + 1}", *own]) for own in labels]
-            values = np.asarray(getattr(result, name))[:, k]
-            found |= dict(zip(names, values.reshape(-1, len(names)).T, strict=True))
-    for name, values in (("spring", result.spring_length), ("phase", result.phase)):
-        found |= {f"{name}_{k + 1}": column for k, column in enumerate(np.asarray(values).T)}
+    whiskers = range(result.fx.shape[1])
+    for k, name in product(whiskers, _signals(result)):
+        found |= _columns_of_whisker(result, name, k)
+    found |= {f"spring_{k + 1}": column for k, column in enumerate(np.asarray(result.spring_length).T)}
+    for k in whiskers:
+        found |= _columns_of_whisker(result, "phase", k)
     return found | {"status": np.asarray(result.status)}
+
+
+def _columns_of_whisker(result: Any, name: str, whisker: int) -> dict[str, np.ndarray]:
+    """The columns of a signal of one whisker, counted from 0; the names of further axes are parts of their names."""
+    contacts = result.phase.shape[2] if has_several(result) else 1
+    known: dict[str, Any] = {**DIRECTORS, CONTACT: map(str, range(1, contacts + 1))}
+    labels = product(*(known[dim] for dim in with_contacts(name, quantity(name), contacts).axes[2:]))
+    names = ["_".join([f"{name}_{whisker + 1}", *own]) for own in labels]
+    values = np.asarray(getattr(result, name))[:, whisker]
+    return dict(zip(names, values.reshape(-1, len(names)).T, strict=True))
 
 
 def _is_motion(result: Any) -> bool:
@@ -145,6 +156,9 @@ def to_dataframe(result: Any) -> "pd.DataFrame":
     1 tip, 2 tangential); status (0 ok); with friction, also slip_1, ..., normal_force_1, ..., friction_force_1, ...;
     with several objects, also contact_object_1, ... A simulation has the column time before control, and gap_1,
     tip_x_1 and tip_y_1. Failed steps are NaN. `identify` and `reconstruct` read such tables.
+
+    If a whisker may have several contacts, the columns of contacts are contact_force_1_1 (of whisker 1 and contact 1,
+    the outermost one), contact_force_1_2, ..., phase_1_1, ...
 
     A scan in space has no angles base_angle_1 and contact_slope_1, but also fz_1, mx_1, my_1, base_z_1, contact_z_1,
     and the directors of the base: base_rotation_1_x_d1, the component of d1 along x, to base_rotation_1_z_d3. With

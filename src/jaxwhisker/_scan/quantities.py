@@ -135,10 +135,14 @@ def quantity(name: str) -> Quantity:
     return (QUANTITIES | MOTION | DERIVED)[name]
 
 
+def is_of_contacts(name: str) -> bool:
+    """Whether the quantity with this name, also before or after an event, belongs to contacts."""
+    return name.removeprefix("before_").removeprefix("after_") in OF_CONTACTS
+
+
 def with_contacts(name: str, quantity: Quantity, contacts: int) -> Quantity:
-    """The quantity with this name, also before or after an event, of whiskers that may have so many contacts."""
-    plain = name.removeprefix("before_").removeprefix("after_")
-    several = contacts > 1 and plain in OF_CONTACTS
+    """The quantity with this name of whiskers that may have so many contacts."""
+    several = contacts > 1 and is_of_contacts(name)
     return quantity._replace(axes=(*quantity.axes, CONTACT)) if several else quantity
 
 

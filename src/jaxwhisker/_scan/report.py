@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._scan.contacts import has_several
 from jaxwhisker._scan.dataset import counted
 from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
 from jaxwhisker._scan.result import Result
@@ -68,7 +69,8 @@ class _Printed(UnitSystem):
 def event_table(result: Result, units: str = "auto") -> str:
     """Table of events: one row per event and whisker; for a snap, one row before it and one after it.
 
-    A last line says how many events did not fit into the result.
+    If whiskers may have several contacts, there are columns for the contact and its object, as in `Event`. A last line
+    says how many events did not fit into the result.
 
     Args:
         result: the Result of a single scan.
@@ -79,7 +81,8 @@ def event_table(result: Result, units: str = "auto") -> str:
     """
     printed = _Printed(result.scene, units)
     names = ("base_x", *REACTIONS)
-    header, rows = [printed.heading("control"), "event", "whisker", "", *map(printed.heading, names)], []
+    places = ("contact", "object") if has_several(result) else ()
+    header, rows = [printed.heading("control"), "event", "whisker", *places, "", *map(printed.heading, names)], []
     for event in result.events:
         # A snap of the whole network names no whisker because all of them move.
         whiskers = event.whiskers or range(1, event.before.fx.size + 1)
@@ -87,7 +90,8 @@ def event_table(result: Result, units: str = "auto") -> str:
         sides = {"before": event.before, "after": event.after} if kind.startswith("snap") else {"": event.before}
         for (when, state), whisker in product(sides.items(), whiskers):
             values = [printed.cell(name, float(getattr(state, name)[whisker - 1])) for name in names]
-            rows.append([control, kind, str(whisker), when, *values])
+            place = [str(getattr(event, name) or "-") for name in places]
+            rows.append([control, kind, str(whisker), *place, when, *values])
     return _with_omitted(result, header, rows)
 
 

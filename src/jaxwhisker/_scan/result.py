@@ -11,8 +11,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import Deferred, deferred
 from jaxwhisker._base.settings import in_double
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import AbstractScene, Scene
-from jaxwhisker._path.path import EventKind
+from jaxwhisker._path.path import SNAPS, EventKind
+from jaxwhisker._scan.contacts import has_several
 from jaxwhisker._scan.dataset import counted, scan_dataset
 from jaxwhisker._scan.energy import stored_energy
 from jaxwhisker._scan.quantities import ENERGIES, QUANTITIES
@@ -43,9 +45,49 @@ class Event(NamedTuple):
         """The state at the event; for a snap, the state in which the whiskers come to rest."""
         return self.after
 
+    @property
+    def contact(self) -> int | None:
+        """The contact that the event concerns, numbered from 1 from the tip on; None for a snap.
+
+        Numbers are those after a touch, and those before any other event. Also None if the event does not concern
+        exactly one whisker.
+        """
+        if self.whisker is None or self.kind in SNAPS:
+            return None
+        side, k = self._with_contact, self.whisker - 1
+        if not has_several(side):
+            return 1
+        if self.kind in (EventKind.touch, EventKind.release):  # of a contact without force
+            return int(np.argmin(np.where(side.phase[k] != Phase.free, side.contact_force[k], np.inf))) + 1
+        return int(np.argmax(self.before.phase[k] != self.after.phase[k])) + 1
+
+    @property
+    def object(self) -> int | None:
+        """The object of this contact, numbered from 1 in the order of the scene's profiles; None without a contact."""
+        if self.contact is None:
+            return None
+        numbers = getattr(self._with_contact, "contact_object", None)
+        if numbers is None:
+            return 1
+        return int(np.atleast_1d(numbers[self.whiskers[0] - 1])[self.contact - 1]) or None
+
+    @property
+    def _with_contact(self) -> Any:
+        """The side of the event on which its contact exists."""
+        return self.after if self.kind == EventKind.touch else self.before
+
+    @property
+    def place(self) -> str:
+        """Object and contact in words, such as " with object 2 at contact 1"; empty if a whisker has only one."""
+        if not has_several(self.after) or self.contact is None:
+            return ""
+        to = {EventKind.touch: "with", EventKind.release: "from"}.get(self.kind, "on")
+        objects = self.after.contact_object is not None
+        return f" {to} object {self.object}" * objects + f" at contact {self.contact}"
+
     def __str__(self) -> str:
         named = " ".join(str(w) for w in self.whiskers)
-        return f"u = {self.control:+.9f}  {self.kind.name}{f' of whisker {named}' if named else ''}"
+        return f"u = {self.control:+.9f}  {self.kind.name}{f' of whisker {named}' if named else ''}{self.place}"
 
 
 class Events(eqx.Module):
@@ -127,6 +169,8 @@ class AbstractResult(eqx.Module):
     @in_double
     def to_xarray(self) -> "xr.Dataset":
         """Return the scan as a Dataset with dimensions `control`, `whisker`, `spring` and `event`, units and names.
+
+        If a whisker may have several contacts, their variables have a last dimension `contact`, from the tip on.
 
         Its variables are those of a `study` with `outputs="all"`.
 

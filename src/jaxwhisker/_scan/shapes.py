@@ -16,6 +16,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._scan.contacts import has_several, past_contacts
 from jaxwhisker._scan.result import AbstractResult, Result, SpaceResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
@@ -29,7 +30,8 @@ PADDING = 64  # states are padded to a multiple of this, because figures and fil
 class Shapes(eqx.Module):
     """Centre lines of whiskers: along the last axis, equidistant points from base to contact, then the tip.
 
-    For whiskers with intrinsic curvature, half of the points lie between contact and tip. Steps that failed are NaN.
+    For whiskers with intrinsic curvature, half of the points lie between contact and tip. If a whisker has several
+    contacts, this is the outermost one. Steps that failed are NaN.
     """
 
     x: Float[Array, "*at whiskers points"]  # a length
@@ -101,7 +103,7 @@ def shapes_of(scene: Any, state: Any, control: Any, *, points: int) -> Any:
     state, control = state_of(state), None if by is None else checks.as_float(control)
     if checks.is_traced((state, control, whiskers, by)):
         return _shapes_of(state, whiskers, by, control, points=points)
-    one = np.ndim(state.phase) == 1
+    one = np.ndim(state.fx) == 1
     rows = jax.tree.map(lambda leaf: np.asarray(leaf)[None] if one else np.asarray(leaf), (state, control))
     steps = rows[0].phase.shape[0]
 
@@ -144,6 +146,8 @@ def _shapes_of(
 
 def _line(whisker: Whisker, points: int, at: State, held: Held | None) -> tuple[rod.Along, rod.Along]:
     """x and y of one whisker from base to tip."""
+    if has_several(at):
+        return _line_past_contacts(whisker, points, at)
     arc, reaction = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc), (at.fx, at.fy, at.mz)
     loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
     x, y, cos, sin = outwards(whisker, base_of(at), reaction, arc, held, count=loaded)
@@ -153,3 +157,12 @@ def _line(whisker: Whisker, points: int, at: State, held: Held | None) -> tuple[
         end, arc - whisker.length, nothing, material(whisker), count=points - loaded + 1, from_base=arc
     )
     return jnp.append(x, tip_x[1:]), jnp.append(y, tip_y[1:])
+
+
+def _line_past_contacts(whisker: Whisker, points: int, at: State) -> tuple[rod.Along, rod.Along]:
+    """x and y of one whisker that may have several contacts."""
+    outermost = jnp.where(at.phase[0] == Phase.free, whisker.length, at.contact_arc[0])
+    loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
+    beyond = outermost + (whisker.length - outermost) * jnp.linspace(0.0, 1.0, points - loaded + 1)[1:]
+    (x, y, _, _), _ = past_contacts(whisker, at, jnp.append(outermost * jnp.linspace(0.0, 1.0, loaded), beyond))
+    return x, y

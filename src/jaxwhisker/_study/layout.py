@@ -182,7 +182,7 @@ class Layout(NamedTuple):
         return None
 
 
-RESERVED = {"control", "whisker", "spring", "event", "point", "between", *DIRECTORS}
+RESERVED = {"control", "whisker", "spring", CONTACT, "event", "point", "between", *DIRECTORS}
 
 
 def _other_values(here: np.ndarray, stored: np.ndarray) -> str | None:

@@ -13,7 +13,15 @@ import numpy as np
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._path.path import SNAPS, EventKind
 from jaxwhisker._scan.dataset import VARIABLES
-from jaxwhisker._scan.quantities import CONTROL, DIRECTORS, ENERGIES, REACTIONS_IN_SPACE, Quantity
+from jaxwhisker._scan.quantities import (
+    CONTACT,
+    CONTROL,
+    DIRECTORS,
+    ENERGIES,
+    REACTIONS_IN_SPACE,
+    Quantity,
+    is_of_contacts,
+)
 from jaxwhisker._scan.route import route_of
 
 if TYPE_CHECKING:
@@ -25,7 +33,7 @@ EXTREMUM_STEPS = 5  # to the extremum of that polynomial, which is at most half 
 BLOCK_BYTES = 64e6  # bytes of a Dataset that are read at a time
 WIDTHS = ("contact_width", "half_width_mz")
 _EVENTS = ("event_kind", "event_control", "event_whisker", "event_count")
-_PER_SCENE = ("control", "whisker", "spring", "event", *DIRECTORS)
+_PER_SCENE = ("control", "whisker", "spring", CONTACT, "event", *DIRECTORS)
 STEP = 1e-30  # of complex-step derivatives (Squire and Trapp 1998), which are exact for any small step
 
 
@@ -82,6 +90,7 @@ def summary(data: xr.Dataset) -> xr.Dataset:
     if not isinstance(data, xr.Dataset):
         raise ValueError(f"`data` must be the Dataset of a study, got a {type(data).__name__}.")
     known = [name for name in VARIABLES if name in data.variables and VARIABLES[name].axes != ("control", "spring")]
+    known = [name for name in known if CONTACT not in data[name].dims]  # which no variable of the summary needs
     if not known or "control" not in data.variables or "whisker" not in data.variables:
         has = ", ".join(map(str, data.variables)) or "nothing"
         raise ValueError(f"`data` must be the Dataset of a study with its steps or events, got one with {has}.")
@@ -223,7 +232,7 @@ class _StackedScans:
     def __init__(self, arrays: Mapping[str, np.ndarray], control: np.ndarray):
         self.control, self.turns, self.lead = control, _changes_direction(control), ()
         self.arrays: dict[str, np.ndarray] = {}
-        for name in (name for name in arrays if name in VARIABLES):
+        for name in (name for name in arrays if name in VARIABLES and not is_of_contacts(name)):
             array, own = np.asarray(arrays[name]), len(VARIABLES[name].axes)
             self.lead, shape = array.shape[: array.ndim - own], array.shape[array.ndim - own :]
             self.arrays[name] = array.reshape((math.prod(self.lead), *shape))
