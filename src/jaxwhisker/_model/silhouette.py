@@ -12,6 +12,7 @@ from jaxwhisker._model.profile import AbstractProfile, bisect
 
 CUT_OFF = 3.0  # whisker lengths to either side of the lowest point at which an open object is cut off
 CONTOUR_POINTS = 481
+ROUNDING = 1e-9  # of the length of a contour
 
 
 def silhouette(
@@ -44,6 +45,23 @@ def silhouette_of(
     x, y = np.asarray(line).T
     known = np.isfinite(x) & np.isfinite(y)
     return x[known], y[known]
+
+
+def behind(x: np.ndarray, y: np.ndarray) -> Float[np.ndarray, "points 2"]:
+    """Points that close an open contour, from its last point back to its first one; none if a straight line does.
+
+    That line would cross a contour that is not convex. The points therefore lie behind it, at the height above the line
+    that the contour reaches.
+    """
+    way = np.array([x[-1] - x[0], y[-1] - y[0]])
+    length = np.hypot(*way)
+    if not length > 0:
+        return np.empty((0, 2))
+    inwards = np.array([-way[1], way[0]]) / length
+    height = np.max((x - x[0]) * inwards[0] + (y - y[0]) * inwards[1])
+    if height <= ROUNDING * length:
+        return np.empty((0, 2))
+    return np.array([(x[-1], y[-1]), (x[0], y[0])]) + height * inwards
 
 
 def _near(profile: AbstractProfile, reach: Scalar) -> tuple[Scalar, Scalar]:

@@ -54,7 +54,7 @@ class Event(NamedTuple):
         """
         if self.whisker is None or self.kind in SNAPS:
             return None
-        side, k = self._with_contact, self.whisker - 1
+        side, k = self.side, self.whisker - 1
         if not has_several(side):
             return 1
         if self.kind in (EventKind.touch, EventKind.release):  # of a contact without force
@@ -66,13 +66,13 @@ class Event(NamedTuple):
         """The object of this contact, numbered from 1 in the order of the scene's profiles; None without a contact."""
         if self.contact is None:
             return None
-        numbers = getattr(self._with_contact, "contact_object", None)
+        numbers = getattr(self.side, "contact_object", None)
         if numbers is None:
             return 1
         return int(np.atleast_1d(numbers[self.whiskers[0] - 1])[self.contact - 1]) or None
 
     @property
-    def _with_contact(self) -> Any:
+    def side(self) -> Any:
         """The side of the event on which its contact exists."""
         return self.after if self.kind == EventKind.touch else self.before
 

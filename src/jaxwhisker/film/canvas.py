@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import objects_of
 from jaxwhisker._path.path import SNAPS, EventKind, Status
+from jaxwhisker._scan.contacts import has_several
 from jaxwhisker._scan.quantities import UnitSystem, control_kind, kind_of
 from jaxwhisker._scan.result import Event, SpaceResult
 from jaxwhisker._scan.state import State
@@ -96,7 +97,7 @@ class Canvas:
         self.curves = Curves(self.figure, boxes, result, shown, system)
         over = abscissa(result)
         self.captions = Captions(self.stage, self.curves.axes, shown, marks, fps, system, over, pace)
-        _name_whiskers(self.figure, shown.state.phase.shape[1], 1 - ABOVE / height)
+        _name_whiskers(self.figure, shown.state.fx.shape[1], 1 - ABOVE / height)
         self._moving = [*self.stage.moving, *self.captions.behind, *self.curves.moving, *self.captions.in_front]
         for artist in self._moving:
             artist.set_animated(True)
@@ -181,13 +182,14 @@ class Stage:
         upwards = max(taller, 1.0) * (top - bottom)
         ax.set(xlim=(left - beside, right + beside), ylim=(bottom, bottom + upwards))
         own = [colour(k) for k in range(len(first.whiskers))]
+        contacts = len(first.arrows) // len(own)
         (self._arm,) = ax.plot([], [], color=SUPPORT, linewidth=0.8, linestyle=":", marker="+", markevery=[0])
         (self._drive,) = ax.plot([], [], color=SUPPORT, markersize=10, linestyle="none")
         self._springs = [ax.plot([], [], color=SUPPORT, linewidth=line.width)[0] for line in first.springs]
         self._whiskers = [ax.plot([], [], color=c, linewidth=2.2, solid_capstyle="round")[0] for c in own]
         self._bases = [ax.plot([], [], color=c, marker="o", markersize=5, linestyle="none")[0] for c in own]
         style = {"arrowstyle": "-|>", "mutation_scale": 12, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
-        self._arrows = [FancyArrowPatch((0, 0), (0, 0), color=c, **style) for c in own]
+        self._arrows = [FancyArrowPatch((0, 0), (0, 0), color=c, **style) for c in own for _ in range(contacts)]
         for arrow in self._arrows:
             ax.add_patch(arrow)
         lines = [self._arm, self._drive, *self._springs, *self._whiskers, *self._bases]
@@ -199,8 +201,10 @@ class Stage:
         return Drawn([ring], lambda point: ring.set_data(*point.T))
 
     def contact(self, state: State, whisker: int) -> np.ndarray:
-        """The contact point of a whisker, as a row."""
-        return np.array([[self._system.shown(name, getattr(state, name)[whisker]) for name in CONTACT]])
+        """The contact point of a whisker, as a row; those of several contacts, NaN where it has none."""
+        points = np.array([np.atleast_1d(self._system.shown(name, getattr(state, name)[whisker])) for name in CONTACT])
+        known = np.atleast_1d(state.phase[whisker]) != Phase.free
+        return points.T if known.size == 1 else np.where(known[:, None], points.T, np.nan)
 
     def move(self, frame: int) -> None:
         """Move all artists to a frame."""
@@ -213,8 +217,9 @@ class Stage:
             self._arm.set_data(drawn.arm.x, drawn.arm.y)
         for artist, line in zip([*self._springs, *self._whiskers], [*drawn.springs, *drawn.whiskers], strict=True):
             artist.set_data(line.x, line.y)
-        for k, (base, patch, arrow) in enumerate(zip(self._bases, self._arrows, drawn.arrows, strict=True)):
+        for k, base in enumerate(self._bases):
             base.set_data(drawn.bases.x[k : k + 1], drawn.bases.y[k : k + 1])
+        for patch, arrow in zip(self._arrows, drawn.arrows, strict=True):
             patch.set_visible(arrow is not None)
             if arrow is not None:
                 patch.set_positions(arrow.tail, arrow.head)
@@ -280,9 +285,9 @@ def _limits(values: np.ndarray, share: float, least: float) -> tuple[float, floa
 def event_in_words(event: Event) -> str:
     """Event and its whiskers, such as "touch of whisker 1"."""
     # A snap of the whole network names no whisker, because all of them move.
-    *others, last = event.whiskers or range(1, event.before.phase.size + 1)
+    *others, last = event.whiskers or range(1, event.before.fx.size + 1)
     who = f"whiskers {', '.join(map(str, others))} and {last}" if others else f"whisker {last}"
-    return _EVENT_WORDS.get(event.kind, event.kind.name.replace("_", "-") + " of {}").format(who)
+    return _EVENT_WORDS.get(event.kind, event.kind.name.replace("_", "-") + " of {}").format(who) + event.place
 
 
 class Captions:
@@ -362,10 +367,12 @@ class Captions:
             line.set_data([at] * 2, [0.0, 1.0])
             line.set(color=own, alpha=1 - 0.7 * share)
         for k, ring in enumerate(self._rings[slot]):
-            state = event.before if event.before.phase[k] != Phase.free else event.after
-            ring.move(self._stage.contact(state, k))
+            state = event.side if has_several(event.after) else event.before
+            state = state if np.any(state.phase[k] != Phase.free) else event.after
+            points, contact = self._stage.contact(state, k), event.contact
+            ring.move(points if contact is None or len(points) == 1 else points[contact - 1 : contact])
             for circle in ring.artists:
-                circle.set_visible(k + 1 in event.whiskers and bool(state.phase[k] != Phase.free))
+                circle.set_visible(k + 1 in event.whiskers and bool(np.any(state.phase[k] != Phase.free)))
                 circle.set(markersize=8 + 16 * share, alpha=1 - 0.8 * share)
 
     def _circles(self, slots: Iterable[int]) -> list[Artist]:

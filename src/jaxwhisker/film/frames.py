@@ -7,12 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
+from matplotlib.path import Path
 
 from jaxwhisker._dynamics.simulation import Simulation
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, objects_of
-from jaxwhisker._model.silhouette import silhouette_of
+from jaxwhisker._model.silhouette import behind, silhouette_of
 from jaxwhisker._path.path import SNAPS, Status
+from jaxwhisker._scan.contacts import has_several
+from jaxwhisker._scan.quantities import is_of_contacts
 from jaxwhisker._scan.result import Event, Result
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.state import State
@@ -60,17 +63,30 @@ class Mark(NamedTuple):
 
 
 class Silhouette(NamedTuple):
-    """Contour of a convex object from left to right, or all around it in the same direction."""
+    """Contour of an object from left to right, or all around it in the same direction."""
 
     x: Float[np.ndarray, " points"]
     y: Float[np.ndarray, " points"]
+    convex: bool = True  # or closed
 
     def depth(self, x: Float[np.ndarray, " line"], y: Float[np.ndarray, " line"]) -> float:
-        """Largest depth of a line inside the object; negative if the line is outside."""
+        """Largest depth of a line inside the object; if the line is outside, negative, or 0 unless it is convex."""
+        if not self.convex:
+            return self._depth(x, y)
         across = np.stack([np.diff(self.y), -np.diff(self.x)])
         across /= np.maximum(np.hypot(*across), 1e-300)
         out = across[0, :, None] * (x - self.x[:-1, None]) + across[1, :, None] * (y - self.y[:-1, None])
         return float(-np.min(np.max(out, axis=0)))
+
+    def _depth(self, x: Float[np.ndarray, " line"], y: Float[np.ndarray, " line"]) -> float:
+        """Largest distance from the contour of those points of a line that are inside."""
+        points, contour = np.stack([x, y], axis=1), np.stack([self.x, self.y], axis=1)
+        inside = Path(np.concatenate([contour, behind(self.x, self.y)])).contains_points(points)
+        starts, ways = contour[:-1], np.diff(contour, axis=0)
+        beside = points[inside, None] - starts
+        share = np.sum(beside * ways, axis=2) / np.maximum(np.sum(ways**2, axis=1), 1e-300)
+        apart = beside - np.clip(share, 0.0, 1.0)[..., None] * ways
+        return float(np.hypot(*np.moveaxis(apart, 2, 0)).min(axis=1).max(initial=0.0))
 
 
 def frames(result: PlaneRun, count: int) -> tuple[Frames, list[Mark]]:
@@ -129,8 +145,15 @@ def _until_failure(shown: Int[np.ndarray, " all"], status: Int[np.ndarray, " all
 
 
 def _flows(result: PlaneRun, snaps: Sequence[int]) -> list[State]:
-    """The flows of the snaps of a scan; a simulation has no snaps, because everything in it takes time."""
-    return flows(result, snaps) if isinstance(result, Result) else []
+    """The flows of the snaps of a scan; a simulation has no snaps, because everything in it takes time.
+
+    Those of whiskers that may have several contacts are not computed: they turn from one state to the other.
+    """
+    if not isinstance(result, Result):
+        return []
+    if has_several(result):
+        return [states_at(result, np.arange(0)) for _ in snaps]
+    return flows(result, snaps)
 
 
 def _snap_frames(result: PlaneRun, before: int, event: Event, states: State, lines: Shapes) -> Frames:
@@ -144,7 +167,11 @@ def _snap_frames(result: PlaneRun, before: int, event: Event, states: State, lin
 def silhouettes_of_scan(result: PlaneRun) -> list[Silhouette]:
     """Contours of the objects of a scan, in the scene's units."""
     length = float(result.scene.whiskers[0].length)
-    return [Silhouette(*silhouette_of(one, length)) for one in objects_of(result.scene)]
+    found = []
+    for one in objects_of(result.scene):
+        x, y = silhouette_of(one, length)
+        found.append(Silhouette(x, y, bool(one.closed) or not behind(x, y).size))
+    return found
 
 
 def first_steps(result: Run) -> Int[np.ndarray, " events"]:
@@ -191,12 +218,17 @@ def _even(
 
 def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, " whiskers"]) -> State:
     """State between two others; whiskers that swing, release or touch in between have no contact."""
-    touching = (first.phase != Phase.free) & (second.phase != Phase.free) & ~swings
-    fields: dict[str, Any] = {"phase": np.where(touching, second.phase, Phase.free)}
+    contacts = (first.phase != Phase.free) & (second.phase != Phase.free)
+    touching = contacts = contacts & ~(swings[:, None] if has_several(first) else swings)
+    if has_several(first):
+        if second.contact_object is not None:
+            contacts &= first.contact_object == second.contact_object
+        touching = contacts.any(axis=1)
+    fields: dict[str, Any] = {"phase": np.where(contacts, second.phase, Phase.free)}
     if second.slip is not None:
         fields["slip"] = np.where(touching, second.slip, 0)
     if second.contact_object is not None:
-        fields["contact_object"] = np.where(touching, second.contact_object, 0)
+        fields["contact_object"] = np.where(contacts, second.contact_object, 0)
 
     def mixed(before: Any, after: Any) -> Any:
         return jax.tree.map(lambda a, b: (1 - share) * a + share * b, before, after)
@@ -205,7 +237,7 @@ def _mixed(first: State, second: State, share: float, swings: Bool[np.ndarray, "
         if name not in ("phase", "slip", "contact_object") and getattr(first, name) is not None:
             value = mixed(getattr(first, name), getattr(second, name))
             kept = name == "shaft_loads" or name.startswith("base")
-            fields[name] = value if kept else np.where(touching, value, 0.0)
+            fields[name] = value if kept else np.where(contacts if is_of_contacts(name) else touching, value, 0.0)
     return State(**jax.tree.map(jnp.asarray, fields))
 
 

@@ -5,7 +5,7 @@ lines and points depends only on the scene, because films draw every line once a
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,11 +25,15 @@ from jaxwhisker._model.scene import Scene, Sensor, units
 from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._plane.approach import Bounded, FromAfar
 from jaxwhisker._scan.plane import problem_now
+from jaxwhisker._scan.quantities import is_of_contacts
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker._scan.signals import signals
 from jaxwhisker._scan.springs import holds, loads_of, on_shafts
 from jaxwhisker._scan.state import OPTIONAL, State, base_of, state_of
 from jaxwhisker.plot.runs import PlaneRun, Run, lines_of_motion, states_at
+
+if TYPE_CHECKING:
+    from jaxwhisker._chain.problem import ChainProblem
 
 # Lengths are in L of the first whisker.
 LINE_POINTS = 64  # per centre line
@@ -78,7 +82,7 @@ class Drawing(NamedTuple):
     whiskers: tuple[Line, ...]  # centre lines from base to tip
     bases: Line  # one point per whisker
     springs: tuple[Line, ...]  # in the order of the support; rigid springs and clamps are straight and thick
-    arrows: tuple[Arrow | None, ...]  # per whisker; None where it is free or unknown
+    arrows: tuple[Arrow | None, ...]  # per whisker, and per contact of it; None where it is free or unknown
 
     def scaled(self, factor: float) -> "Drawing":
         """The drawing in another unit of length."""
@@ -156,6 +160,8 @@ def start_of(scene: Scene) -> float:
 
     If no whisker touches, it is x of the object's vertex, or the start of a motion that has ends.
     """
+    if scene.contacts > 1:
+        return _start_of_several(scene)
     problem = problem_now(jax.tree.map(checks.as_float, scene))
     unit = float(problem.unit.control)
     if problem.ends is None:
@@ -165,6 +171,27 @@ def start_of(scene: Scene) -> float:
     controls = np.linspace(first, last, CONTROLS)
     meets = np.flatnonzero(~np.asarray(_clear(problem, controls)))
     return unit * (float(controls[max(meets[0] - 1, 0) if meets.size else 0]))
+
+
+def _start_of_several(scene: Scene) -> float:
+    """The same for whiskers that may have several contacts; a translation stops up to twice as far away."""
+    from jaxwhisker._scan.chain import problem_now as chain_problem_now
+
+    problem = chain_problem_now(jax.tree.map(checks.as_float, scene))
+    return float(problem.unit.control) * float(_last_clear(problem))
+
+
+@Program
+def _last_clear(problem: "ChainProblem") -> Scalar:
+    from jaxwhisker._chain.approach import is_clear, limits_of
+
+    limits = limits_of(problem, jnp.asarray(jnp.nan))
+    if problem.ends is None:
+        return limits.start - BEFORE_TOUCH * problem.onwards
+    controls = jnp.linspace(limits.start, limits.far, CONTROLS)
+    clear = jax.lax.map(lambda u: is_clear(problem, u), controls, batch_size=16)
+    meets = jnp.argmin(clear)  # 0 if all are clear
+    return controls[jnp.maximum(meets - 1, 0)]
 
 
 @Program
@@ -193,7 +220,10 @@ def _rest_state(scene: Scene, control: Scalar) -> State:
     at, size = problem.in_scene(u, problem.rest(u)), problem.unit.length
     none = jnp.zeros(scene.support.whiskers)
     fields: dict[str, Any] = dict.fromkeys((name for name in State.__dataclass_fields__ if name not in OPTIONAL), none)
-    fields["phase"] = none.astype(int)
+    if scene.contacts > 1:
+        of_contacts = jnp.zeros((scene.support.whiskers, scene.contacts))
+        fields = {name: of_contacts if is_of_contacts(name) else value for name, value in fields.items()}
+    fields["phase"] = fields["phase"].astype(int)
     return State(**fields | {"base_x": at.x * size, "base_y": at.y * size, "base_angle": at.angle})  # pyright: ignore
 
 
@@ -212,12 +242,16 @@ def drive_pose(scene: Scene | Sensor, control: float) -> Pose:
     return Pose(x / size, y / size, angle)
 
 
-def force_arrow(state: State, whisker: int, largest: float, size: float = 1.0) -> Arrow | None:
-    """Contact force on a whisker, counted from 0; the length of the arrow grows with its share of the largest force."""
-    force, slope = float(state.contact_force[whisker]), float(state.contact_slope[whisker])
-    if int(state.phase[whisker]) == Phase.free or not force > 0:
+def force_arrow(state: State, contact: int, largest: float, size: float = 1.0) -> Arrow | None:
+    """Force of a contact; the length of the arrow grows with its share of the largest force.
+
+    Contacts are counted from 0, first those of the first whisker.
+    """
+    fields = state.contact_force, state.contact_slope, state.contact_x, state.contact_y, state.phase
+    force, slope, x, y, phase = (float(np.ravel(field)[contact]) for field in fields)
+    if phase == Phase.free or not force > 0:
         return None
-    x, y = float(state.contact_x[whisker]) / size, float(state.contact_y[whisker]) / size
+    x, y = x / size, y / size
     length = arrow_length(force, largest)
     return Arrow((x - length * np.sin(slope), y + length * np.cos(slope)), (x, y))
 

@@ -11,6 +11,7 @@ from matplotlib.patches import Patch
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import UnitSystem
+from jaxwhisker._scan.result import Event
 from jaxwhisker.plot.axes import GREY, colour, event_entries, event_marker, legend_above, one_axes
 from jaxwhisker.plot.runs import Run, abscissa, check_one_run, events_of, places, places_of_events, progress
 
@@ -20,6 +21,8 @@ _IN_STRIPS = (EventKind.tip_to_tangential, EventKind.tangential_to_tip)  # event
 
 def phases(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw where each whisker is free, in tip contact (hatched) or in tangential contact (solid), and its events.
+
+    If whiskers may have several contacts, each contact has its own row, from the outermost one on.
 
     The horizontal axis is the control, or the time of a simulation. If the drive of a scan reverses, each part of its
     path has its own strip, from top to bottom. Failed steps leave gaps.
@@ -46,25 +49,39 @@ def phases(result: Run, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     turns = _turns(control)
     height, whiskers = _HEIGHT / (len(turns) - 1), phase.shape[1]
     tall = height if len(turns) == 2 else 0.85 * height
-    for k in range(whiskers):
+    phase = phase.reshape(phase.shape[0], -1)
+    contacts = phase.shape[1] // whiskers
+    for row in range(phase.shape[1]):
+        k, contact = row // contacts, row % contacts + 1
         # A snap of the whole network names no whisker, because all of them move.
         own = [n for n, event in enumerate(events) if k + 1 in (event.whiskers or range(1, whiskers + 1))]
+        marked = [n for n in own if _is_marked(events[n], k, contact)]
         for strip, (first, last) in enumerate(pairwise(turns)):
-            top = k + 1 - _HEIGHT / 2 + strip * height
+            top = row + 1 - _HEIGHT / 2 + strip * height
             part = slice(first, last + 1)
-            for kind, *ends in _runs(travel[part], phase[part, k], known[part], happens[own]):
+            for kind, *ends in _runs(travel[part], phase[part, row], known[part], happens[own]):
                 left, right = sorted(np.interp(ends, travel[part], control[part]))
                 ax.broken_barh([(left, right - left)], (top, tall), **_bar(kind, colour(k)))
-            for n in own:
+            for n in marked:
                 if travel[first] <= happens[n] <= travel[last] and events[n].kind not in _IN_STRIPS:
                     ax.plot(at[n], top + tall / 2, linestyle="none", zorder=4, **event_marker(events[n].kind))
     ax.set_xlabel(system.label(over))
-    ax.set_yticks(range(1, whiskers + 1), [f"whisker {k + 1}" for k in range(whiskers)])
-    ax.set_ylim(whiskers + 0.5, 0.5)
+    names = [f"whisker {k + 1}" for k in range(whiskers)]
+    if contacts > 1:
+        names = [f"{name}, contact {number + 1}" for name in names for number in range(contacts)]
+    ax.set_yticks(range(1, len(names) + 1), names)
+    ax.set_ylim(len(names) + 0.5, 0.5)
     ax.tick_params(left=False)
     handles: list[Any] = [Patch(label=kind.name, **_bar(kind, GREY)) for kind in Phase]
     legend_above(ax, handles + event_entries(event.kind for event in events if event.kind not in _IN_STRIPS))
     return ax
+
+
+def _is_marked(event: Event, whisker: int, contact: int) -> bool:
+    """Whether an event of a whisker, counted from 0, is marked on one of its contacts, counted from 1."""
+    if event.contact is not None or contact == 1:
+        return event.contact in (contact, None)
+    return any(side.phase[whisker, contact - 1] != Phase.free for side in (event.before, event.after))
 
 
 def _turns(control: np.ndarray) -> list[int]:

@@ -10,8 +10,17 @@ from jaxtyping import Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._dynamics.simulation import Simulation
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.assembly import AbstractScene
-from jaxwhisker._scan.quantities import DRAWN, DRAWN_IN_SPACE, MOTION, REACTIONS, REACTIONS_IN_SPACE
+from jaxwhisker._scan.contacts import has_several
+from jaxwhisker._scan.quantities import (
+    DRAWN,
+    DRAWN_IN_SPACE,
+    MOTION,
+    REACTIONS,
+    REACTIONS_IN_SPACE,
+    is_of_contacts,
+)
 from jaxwhisker._scan.result import AbstractResult, Event, Result, SpaceResult, check_not_batched
 from jaxwhisker._scan.shapes import Shapes
 from jaxwhisker._scan.state import State, state_of
@@ -46,12 +55,26 @@ def places(run: Run, over: str) -> Float[np.ndarray, " steps"]:
 
 
 def values_of(run: Run, quantity: str) -> np.ndarray:
-    """Values (steps, whiskers or springs) of a quantity that can be drawn."""
+    """Values (steps, whiskers or springs) of a quantity that can be drawn, or (steps, contacts of all whiskers)."""
     if quantity != "spring_extension":
-        return np.asarray(getattr(run, quantity))
+        values = np.asarray(getattr(run, quantity))
+        return values if values.ndim < 3 else _values_of_contacts(run, quantity)
     # The sign of an axial spring's rest length only says on which side it is.
     rest = [abs(s.rest_length) if s.axis == "axial" else s.rest_length for s in run.scene.support.springs]
     return np.asarray(run.spring_length) - np.asarray(rest, dtype=float)
+
+
+def _values_of_contacts(run: Run, quantity: str) -> np.ndarray:
+    """Values (steps, contacts of all whiskers) of a quantity of several contacts; where there is none, only a force."""
+    values = np.asarray(getattr(run, quantity), dtype=float)
+    if quantity != "contact_force":
+        values = np.where(np.asarray(run.phase) == Phase.free, np.nan, values)
+    return values.reshape(values.shape[0], -1)
+
+
+def contacts_of(run: Run, quantity: str) -> int:
+    """Number of contacts that each whisker may have, for a quantity of contacts; 1 for others."""
+    return run.phase.shape[2] if is_of_contacts(quantity) and has_several(run) else 1
 
 
 def reactions_of(run: Run) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ from jaxwhisker.plot.runs import (
     abscissa,
     check_one_run,
     check_quantity,
+    contacts_of,
     events_of,
     places,
     places_of_events,
@@ -192,6 +193,9 @@ def _name_curves_and_events(ax: Axes, entries: list[Line2D]) -> None:
 def signal(result: Run, quantity: str, *, units: str = "auto", ax: Axes | None = None) -> Axes:
     """Draw one quantity of all whiskers (or springs): of a scan over the control, of a simulation over time.
 
+    If whiskers may have several contacts, quantities of contacts have a curve for each: solid for the outermost one,
+    dashed for the next. Except for the force, curves end where there is no contact.
+
     Args:
         result: of `scan` or `simulate`.
         quantity: one of `QUANTITIES`; of a simulation also "gap", "tip_x" or "tip_y"; of a scan in space also "fz",
@@ -232,6 +236,8 @@ def compare(
 ) -> Axes:
     """Draw one quantity of several scans or simulations, with a legend of their labels.
 
+    Curves of several contacts are solid for the outermost one, and dashed for the next.
+
     Simulations are drawn over time. If there is a scan among them, all are drawn over the control.
 
     Args:
@@ -258,14 +264,17 @@ def compare(
     curves = []
     for run, system in zip(runs, systems, strict=True):
         x, values = _curve(run, over, quantity, system)
+        values = values.reshape(values.shape[0], -1, contacts_of(run, quantity))
         if not isinstance(index, int | np.integer) or not 1 <= index <= values.shape[1]:
             raise ValueError(f"`index` must lie between 1 and {values.shape[1]}, got {index!r}.")
-        curves.append((x, values[:, index - 1]))
+        curves.append((x, values[:, index - 1].T))
     ax = one_axes(ax)
-    for k, (label, curve) in enumerate(zip(results, curves, strict=True)):
+    for k, (label, (x, each)) in enumerate(zip(results, curves, strict=True)):
         # Later curves are drawn over earlier ones. Thinner lines leave those visible where both coincide.
         width = 1.8 - 0.9 * k / max(len(results) - 1, 1)
-        ax.plot(*curve, color=colours[k % len(colours)], linewidth=width, label=label)
+        for contact, values in enumerate(each):  # one curve, unless whiskers may have several contacts
+            style = {"color": colours[k % len(colours)], "linestyle": DASHES[contact % len(DASHES)]}
+            ax.plot(x, values, **style, linewidth=width, label=None if contact else label)
     _finish(ax, systems, over, quantity)
     legend_above(ax, least=1)
     return ax
@@ -327,7 +336,7 @@ def contact_range(results: Sequence[Run], margin: float = 0.04, *, units: str = 
     runs = _all_runs(results)
     over, systems = abscissa(*runs), unit_systems(runs, units)
     shown = [system.shown(over, places(run, over)) for system, run in zip(systems, runs, strict=True)]
-    touching = [np.any(np.asarray(run.contact_force) > 0, axis=1) for run in runs]
+    touching = [np.any(np.asarray(run.contact_force) > 0, axis=tuple(range(1, run.phase.ndim))) for run in runs]
     known = np.concatenate([place[own] for place, own in zip(shown, touching, strict=True)])
     known = known if known.size else np.concatenate(shown)
     known = known[np.isfinite(known)]
@@ -350,6 +359,15 @@ def _curve(run: Run, over: str, quantity: str, system: UnitSystem) -> tuple[np.n
 
 def _styles(result: Run, quantity: str, count: int) -> list[dict[str, Any]]:
     """Styles of the curves of whiskers or springs; a spring has the colour of its second base, the first is solid."""
+    if (contacts := contacts_of(result, quantity)) > 1:
+        return [
+            {
+                "color": colour(k // contacts),
+                "linestyle": DASHES[k % contacts % len(DASHES)],
+                "label": f"whisker {k // contacts + 1}, contact {k % contacts + 1}",
+            }
+            for k in range(count)
+        ]
     if quantity not in OF_SPRINGS:
         return [{"color": colour(k), "label": f"whisker {k + 1}"} for k in range(count)]
     styles, bases = [], []

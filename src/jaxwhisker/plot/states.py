@@ -12,7 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
-from jaxwhisker._model.silhouette import silhouette_of
+from jaxwhisker._model.silhouette import behind, silhouette_of
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.deflect import Deflection
@@ -234,6 +234,8 @@ def same_window(axs: Iterable[Axes]) -> None:
 def in_words(result: Run, at: float) -> str:
     """Phases of all whiskers at a position of the drive, or time, such as "1: tip, 2: free".
 
+    Several contacts of a whisker are named from the tip to the base, such as "1: tip and tangential".
+
     Args:
         result: result of `scan` or `simulate`.
         at: drive position or time in the scene's unit; the nearest step is described.
@@ -242,7 +244,14 @@ def in_words(result: Run, at: float) -> str:
         ValueError: if `result` is not that of one scan or simulation, or `at` is not a finite number within it.
     """
     (step,) = _steps_at(check_one_run(result), at)
-    return ", ".join(f"{k + 1}: {Phase(int(p)).name}" for k, p in enumerate(np.asarray(result.phase)[step]))
+    return ", ".join(f"{k + 1}: {_phases_in_words(phase)}" for k, phase in enumerate(np.asarray(result.phase)[step]))
+
+
+def _phases_in_words(phase: np.ndarray) -> str:
+    """The phase of a whisker, or those of its contacts."""
+    contacts = np.atleast_1d(phase)
+    touching = contacts[contacts != Phase.free]
+    return " and ".join(Phase(int(p)).name for p in touching) or Phase.free.name
 
 
 def _steps_at(result: Run, at: Any) -> list[int]:
@@ -255,7 +264,7 @@ def _steps_at(result: Run, at: Any) -> list[int]:
 
 def _steps_across(result: Run) -> list[int]:
     """Evenly spaced steps with contact, or known ones if there is no contact, in the order of time."""
-    forces = np.asarray(result.contact_force)
+    forces = np.asarray(result.contact_force).reshape(np.size(result.control), -1)
     known = np.flatnonzero(np.isfinite(forces).all(axis=1))
     touching = np.flatnonzero((np.nan_to_num(forces) > 0).any(axis=1))
     steps = next((some for some in (touching, known) if some.size), np.arange(forces.shape[0]))
@@ -275,7 +284,8 @@ def draw_object(system: UnitSystem, ax: Axes, *, whole: bool = True) -> None:
 def _draw_object(shape: AbstractProfile, whisker: float, unit: float, whole: bool, ax: Axes) -> None:
     for one in shape.objects:
         x, y = (coordinate / unit for coordinate in silhouette_of(one, whisker, whole=whole))
-        ax.fill(x, y, color=OBJECT, linewidth=0, zorder=0)
+        rest = np.empty((0, 2)) if one.closed else behind(x, y)
+        ax.fill(np.append(x, rest[:, 0]), np.append(y, rest[:, 1]), color=OBJECT, linewidth=0, zorder=0)
         ax.plot(x, y, color=SUPPORT, linewidth=1, zorder=0.5)
 
 
@@ -291,9 +301,10 @@ def _draw_states(drawn: Sequence[Drawing], system: UnitSystem, whole: bool, ax: 
             ax.plot(line.x, line.y, **style, linewidth=2 if age == 0 else 1.4, solid_capstyle="round", label=label)
             ax.plot(one.bases.x[k], one.bases.y[k], **style, marker="o", markersize=5 if age == 0 else 3)
     _draw_support(scaled[-1], ax)
+    contacts = len(scaled[-1].arrows) // len(scaled[-1].whiskers)
     for k, arrow in enumerate(scaled[-1].arrows):
         if arrow is not None:
-            draw_arrow(arrow.tail, arrow.head, colour(k), ax)
+            draw_arrow(arrow.tail, arrow.head, colour(k // contacts), ax)
     ax.set_aspect("equal")
     _set_window(drawn, system, ax)
     legend_above(ax, [line for line in ax.get_lines() if str(line.get_label()).startswith("whisker")])
