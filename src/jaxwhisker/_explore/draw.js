@@ -175,18 +175,26 @@ function drawScene(canvas, picture, step, failure) {
   }
 }
 
-/** Draw a whisker, its base and the force on it; `at` is its index in the arrays of states. */
+/** Indices of the contacts of a whisker in their arrays: the outermost one, and others that touch. */
+function contactsAt(picture, at) {
+  const most = picture.phase.length / (picture.steps * picture.whiskers);
+  return Array.from({ length: most }, (_, k) => at * most + k).filter((k, number) => !number || picture.phase[k]);
+}
+
+/** Draw a whisker, its base and the forces on it; `at` is its index in the arrays of states. */
 function drawWhisker(context, picture, at, X, Y, style) {
   const first = at * picture.points;
   const points = [(k) => X(picture.line_x[first + k]), (k) => Y(picture.line_y[first + k])];
   line(context, picture.points, ...points, style, 2.5);
   dot(context, X(picture.base_x[at]), Y(picture.base_y[at]), 4, style);
-  const share = Math.min(picture.contact_force[at] / picture.largestForce, 1);
-  if (!(share > 0)) return;
-  const [slope, reach] = [picture.contact_slope[at], (0.1 + 0.25 * share) * picture.length];
-  const [tipX, tipY] = [picture.contact_x[at], picture.contact_y[at]];
-  const tail = [X(tipX - reach * Math.sin(slope)), Y(tipY + reach * Math.cos(slope))];
-  arrow(context, tail, [X(tipX), Y(tipY)], style);
+  for (const k of contactsAt(picture, at)) {
+    const share = Math.min(picture.contact_force[k] / picture.largestForce, 1);
+    if (!(share > 0)) continue;
+    const [slope, reach] = [picture.contact_slope[k], (0.1 + 0.25 * share) * picture.length];
+    const [tipX, tipY] = [picture.contact_x[k], picture.contact_y[k]];
+    const tail = [X(tipX - reach * Math.sin(slope)), Y(tipY + reach * Math.cos(slope))];
+    arrow(context, tail, [X(tipX), Y(tipY)], style);
+  }
 }
 
 /** Points of the springs along the axes of the drive's frame: zigzags, and spirals for torsion springs. */

@@ -248,9 +248,12 @@ export function explore(el, { sliders, position, views, phases, statuses }, ask)
     place.setText(picture.places.map(read).join(", "));
     [...rows.children].forEach(({ children }, whisker) => {
       const at = step * picture.whiskers + whisker;
-      const exact = (name) => (Math.abs(picture[name][at]) < NOISE * picture.least?.[name] ? 0 : picture[name][at]);
-      const known = picture.columns.map(([name]) => (failure ? "" : text(exact(name))));
-      const cells = [failure ? "unknown" : phases[picture.phase[at]], ...known];
+      const touching = contactsAt(picture, at);
+      const places = (name) => (picture[name].length === picture.phase.length ? touching : [at]);
+      const exact = (name, k) => (Math.abs(picture[name][k]) < NOISE * picture.least?.[name] ? 0 : picture[name][k]);
+      const words = (name) => places(name).map((k) => text(exact(name, k))).join(", ");
+      const known = picture.columns.map(([name]) => (failure ? "" : words(name)));
+      const cells = [failure ? "unknown" : touching.map((k) => phases[picture.phase[k]]).join(", "), ...known];
       cells.forEach((cell, k) => (children[k + 1].textContent = cell));
     });
     if (!code.hidden) code.textContent = picture.code.join(step);

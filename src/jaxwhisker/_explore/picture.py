@@ -7,7 +7,7 @@ eight bytes, and the arrays one after the other, those with the largest items fi
 import json
 import struct
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -20,8 +20,9 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._dynamics.simulation import Simulation, TimedEvent
 from jaxwhisker._explore.code import code_of_motion, code_of_scan
 from jaxwhisker._model.motion import Pose
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import AbstractScene, Scene, Sensor, objects_of
-from jaxwhisker._model.silhouette import silhouette
+from jaxwhisker._model.silhouette import behind, silhouette
 from jaxwhisker._scan.quantities import STATE, Unit, UnitSystem, control_kind, quantity, reactions_of
 from jaxwhisker._scan.report import status_line
 from jaxwhisker._scan.result import AbstractResult, Event, Result, check_not_batched
@@ -60,7 +61,8 @@ class Picture(NamedTuple):
     outline: Float[jax.Array, "points 2"]  # of the object; NaN where a graph ends
 
     def geometry(self, units: UnitSystem) -> tuple[dict[str, Any], dict[str, Any]]:
-        length, scene, outline = units.of_kind("length").size, units.scene, self.outline
+        length, scene = units.of_kind("length").size, units.scene
+        outline = _closed(np.asarray(self.outline), objects_of(self.result.scene))
         header = {
             "springs": _springs(scene, length),
             "lowest": min(0.0, *(float(mount.y) / length for mount in scene.support.mounts)),
@@ -106,6 +108,19 @@ def _around(scene: Scene | Sensor, control: Float[jax.Array, " steps"]) -> tuple
     for one in objects_of(scene):
         outlines += [silhouette(one, scene.whiskers[0].length, points=OUTLINE_POINTS), jnp.full((1, 2), jnp.nan)]
     return jax.vmap(scene.motion.pose)(control), jnp.concatenate(outlines)[:-1]
+
+
+def _closed(
+    outline: Float[np.ndarray, "points 2"], objects: Sequence[AbstractProfile]
+) -> Float[np.ndarray, "points 2"]:
+    """The outlines of all objects with points that close those of objects that go on and are not convex."""
+    parts = []
+    for k, one in enumerate(objects):
+        own = outline[k * (OUTLINE_POINTS + 1) :][: OUTLINE_POINTS + 1]  # with the NaN behind it
+        known = own[np.isfinite(own).all(axis=1)]
+        rest = np.empty((0, 2)) if one.closed else behind(*known.T)
+        parts += [own[:OUTLINE_POINTS], rest, own[OUTLINE_POINTS:]]
+    return np.concatenate([outline[:0], *parts])
 
 
 def packed_picture(picture: AnyPicture, scene: AbstractScene | Sensor, code: str, note: str = "") -> bytes:
