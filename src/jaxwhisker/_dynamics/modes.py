@@ -28,6 +28,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._scan.applied_loads import lines_of, sorted_loads
 from jaxwhisker._scan.blocks import in_blocks
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.plane import problem_now
 from jaxwhisker._scan.resolution import warn_of_steps
@@ -108,8 +109,8 @@ def modes(
 
     Raises:
         ValueError: if an argument has the wrong type, is out of its domain or does not belong to `at`, a whisker has no
-            mass per length, a load of the Deflection is a follower force, which has no potential, or JAX is in float32
-            mode.
+            mass per length, whiskers of a Result may have several contacts, a load of the Deflection is a follower
+            force, which has no potential, or JAX is in float32 mode.
 
     Warns:
         UserWarning: if stiffness, curvature or mass change too fast along a concrete whisker; see `Whisker(breaks=)`.
@@ -195,6 +196,7 @@ def _of_deflection(bent: Deflection, count: int, damping: _ModalDamping, points:
 def _of_result(result: Result, step: int | None, count: int, damping: _ModalDamping, points: int) -> Modes:
     if np.ndim(result.control) != 1:
         checks.fail("at", "the Result of a single scan; for a batch, use jax.vmap", f"one of shape {result.fx.shape}")
+    check_one_contact("at", result)
     problem, whiskers = _prepared(result.scene)
     force = result.contact_force if result.normal_force is None else result.normal_force
     fields = {name: getattr(result, name) for name in Equilibrium._fields} | {"contact_force": force}

@@ -27,6 +27,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.state import State
@@ -95,8 +96,8 @@ def simulate(
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
             positive, a drive that is not finite), the drive starts inside the object, `start` is a state of another
-            scene, or the scene has springs between the shafts of two whiskers or rigid springs, which are not
-            simulated.
+            scene, or the scene has springs between the shafts of two whiskers, rigid springs, or whiskers with
+            several contacts, which are not simulated.
 
     Warns:
         UserWarning: if the shape functions do not resolve the bending stiffness of a concrete whisker, such as a jump.
@@ -152,6 +153,7 @@ def simulate(
 
 def _check_scene(scene: Any) -> None:
     checks.instance("scene", scene, (Scene, Sensor), "a Scene or a Sensor")
+    check_one_contact("scene", scene)
     for whisker in scene.whiskers:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)

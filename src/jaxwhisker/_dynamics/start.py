@@ -22,6 +22,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import AbstractMotion, pose_of
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at, outwards
@@ -73,6 +74,7 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
             checks.fail("start", f"a State of {scene.support.whiskers} whiskers", "a Deflection of one")
         return _from_deflection(*jax.tree.map(checks.as_float, (scene.whiskers[0], scene.motion)), start, at)
     checks.instance("start", start, State, "a State, a Deflection or the Result of a scan")
+    check_one_contact("start", start)
     if isinstance(start, Result):
         check_one_scan(start)
         k = jnp.argmin(jnp.abs(start.control - at))

@@ -30,6 +30,7 @@ from jaxwhisker._inverse.statistics import FitStatus
 from jaxwhisker._model.contour import Contour, check_slopes
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import AbstractScene, Scene, Sensor
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.quantities import REACTIONS
 
 if TYPE_CHECKING:
@@ -193,6 +194,7 @@ def fit_contour(
     checks.arguments("parameters", sensor, list(values), called="sensor")
     known = sensor_of(sensor(**values))
     check_traceable(sensor, values, called="sensor")
+    check_one_contact("measured", measured)
     observations = read_observations(measured, sigma, whiskers=len(known.whiskers))
     check_recording(observations, known, len(unknown) + 2 + count)
 

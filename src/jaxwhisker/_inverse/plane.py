@@ -19,6 +19,7 @@ from jaxwhisker._inverse.points import Reconstruction
 from jaxwhisker._inverse.recording import check_signs
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.quantities import REACTIONS
 
 
@@ -43,6 +44,7 @@ class InversePlane(InverseMechanics):
                 raise ValueError(f"`measured` must be {allowed}.")
             readings = Readings.traced(measured, sigma, REACTIONS, whiskers)
         else:
+            check_one_contact("measured", measured)
             observed = read_observations(measured, sigma, whiskers=whiskers)
             _check_complete(observed, coupled=base is None and any(0 not in s.between for s in sensor.support.springs))
             observed = with_scatter(observed) if sigma is None else observed
@@ -71,9 +73,10 @@ def sensor_of(sensor: Any) -> Sensor:
     """The sensor, or that of a scene.
 
     Raises:
-        ValueError: if it is neither.
+        ValueError: if it is neither, or its whiskers may have several contacts.
     """
     if isinstance(sensor, Scene):
+        check_one_contact("sensor", sensor)
         return Sensor.of(sensor)
     checks.instance("sensor", sensor, Sensor, "a Sensor, a Scene or a function that returns one")
     return sensor

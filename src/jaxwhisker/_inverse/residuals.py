@@ -34,6 +34,7 @@ from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.events import EventTable, event_table
 from jaxwhisker._scan.plane import Plane
 from jaxwhisker._scan.route import Route
+from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.steps import solved_states
 
 OVERLAID_SIGMA = 0.1  # of the peak: standard deviation of overlaid signals
@@ -211,12 +212,13 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     parts = split(unknowns, x)
     shift = parts.shift[0] if unknowns.shift else jnp.zeros(())
     scene = jax.tree.map(checks.as_float, build(**dict(zip(unknowns.build, parts.build, strict=True))))
-    problem = problem_of(scene)
-    path, start, _ = Plane.follow(problem, data.stops + shift, data.last)
-    path = Plane.detected(scene, problem, path)
-    memory = Plane.memory(problem, path, data.stops + shift)
-    placed = place(shift, start, event_table(Plane, problem, path, memory), data)
-    state, _, displacement, _ = solved_states(Plane, problem, path, placed.control, placed.travel, memory)
+    mechanics = mechanics_of(scene)
+    problem = problem_of(scene) if mechanics is Plane else mechanics.problem(scene)
+    path, start, _ = mechanics.follow(problem, data.stops + shift, data.last)
+    path = mechanics.detected(scene, problem, path)
+    memory = mechanics.memory(problem, path, data.stops + shift)
+    placed = place(shift, start, event_table(mechanics, problem, path, memory), data)
+    state, _, displacement, _ = solved_states(mechanics, problem, path, placed.control, placed.travel, memory)
     values = dict(zip(unknowns.channels.parameters, parts.channels, strict=True))
     signals = unknowns.channels.of_result(result_of(scene, state, displacement, placed.control), values)
     signals = unknowns.gains.applied(signals, parts.gains, jnp)

@@ -223,9 +223,15 @@ class Sensor(eqx.Module):
         checks.instance("scene", scene, Scene, "a Scene")
         return cls(scene.whisker, scene.support, scene.motion, scene.friction)
 
-    def before(self, profile: AbstractProfile) -> Scene:
-        """The scene in which this sensor scans an object, with rods computed by `Shooting()`."""
-        return Scene(self.whisker, profile, self.support, motion=self.motion, friction=self.friction)
+    def before(self, profile: AbstractProfile, contacts: int = 1) -> Scene:
+        """The scene in which this sensor scans an object, with rods computed by `Shooting()`.
+
+        Args:
+            profile: the object, or a tuple of objects.
+            contacts: largest number of contacts of one whisker, as in `Scene`.
+        """
+        known = {"motion": self.motion, "friction": self.friction, "contacts": contacts}
+        return Scene(self.whisker, profile, self.support, **known)
 
     @property
     def whiskers(self) -> tuple[Whisker, ...]:

@@ -12,6 +12,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import Deferred, name_of
 from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Status
+from jaxwhisker._scan.quantities import is_of_contacts
 from jaxwhisker._scan.result import AbstractResult
 from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.state import FRICTION, FRICTION_IN_SPACE, OBJECTS, SpaceState, State
@@ -71,11 +72,13 @@ def example_of(scene: AbstractScene) -> AbstractResult:
     zero = jnp.zeros((EXAMPLE_STEPS, len(scene.whiskers)))
     if not isinstance(scene, Scene):
         return _example_in_space(scene, zero)
-    fields: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    of_contacts = jnp.zeros((*zero.shape, scene.contacts)) if scene.contacts > 1 else zero
+    fields: dict[str, Any] = {n: of_contacts if is_of_contacts(n) else zero for n in State.__dataclass_fields__}
+    fields["phase"] = of_contacts.astype(int)
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
     loads = scene.support.shaft_loads
     fields["shaft_loads"] = (zero,) * loads if loads else None
-    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else zero.astype(int))
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else of_contacts.astype(int))
     return result_of(scene, State(**fields), None, jnp.zeros(EXAMPLE_STEPS))
 
 

@@ -9,8 +9,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxwhisker._base import checks
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.springs import at_base
@@ -19,7 +21,20 @@ from jaxwhisker._scan.state import State, base_of, material
 
 def has_several(state: Any) -> bool:
     """Whether whiskers may have several contacts: whether contact fields have a last axis for them."""
-    return state.phase.ndim > state.fx.ndim
+    return np.ndim(state.phase) > np.ndim(state.fx)
+
+
+def check_one_contact(name: str, value: Any) -> None:
+    """Check that the whiskers of a scene, a state or a result have at most one contact each.
+
+    Raises:
+        ValueError: if they may have several; it names the argument.
+    """
+    contacts = getattr(value, "contacts", 1)
+    if isinstance(value, State) and has_several(value):
+        contacts = np.shape(value.phase)[-1]
+    if contacts > 1:
+        checks.fail(name, "one whose whiskers have at most one contact each", f"one with contacts={contacts}")
 
 
 def of_whisker(state: State, whisker: int) -> State:

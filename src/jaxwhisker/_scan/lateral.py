@@ -41,6 +41,7 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.scan import scan
 from jaxwhisker._scan.springs import at_base
@@ -110,7 +111,7 @@ def lateral_stability(
 
     Raises:
         ValueError: if `result` is not the result of one scan, or an argument is out of its domain; if springs or
-            foundations hold the shafts, whose lateral stiffness is not known.
+            foundations hold the shafts, whose lateral stiffness is not known; if whiskers may have several contacts.
 
     Examples:
         >>> scene = jw.Scene(jw.Whisker(), jw.Circle(distance=0.3, radius=1.0), jw.Support())
@@ -118,6 +119,7 @@ def lateral_stability(
         >>> past_a_cylinder, past_a_sphere = (jw.lateral_stability(result, curvature) for curvature in (0.0, 1.0))
     """
     check_one_scan(result)
+    check_one_contact("result", result)
     lateral = _checked(result.scene, lateral_curvature, lateral_stiffness, tilt_stiffness, torsion_ratio)
     return _stability_now(jax.tree.map(checks.as_float, result.scene.whiskers), state_of(result), lateral)
 
@@ -147,6 +149,7 @@ def lateral_loss(
         -0.328758
     """
     check_one_scan(result)
+    check_one_contact("result", result)
     lateral = _checked(result.scene, lateral_curvature, lateral_stiffness, tilt_stiffness, torsion_ratio)
     scene, control = jax.tree.map(checks.as_float, result.scene), jnp.asarray(result.control)
     still_scene, still_lateral, still = jax.lax.stop_gradient((scene, lateral, result))
