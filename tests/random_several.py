@@ -1,0 +1,140 @@
+"""Random ordinary scenes with several contacts of each whisker, also in plain numbers for several_laws.py."""
+
+# pyright: reportArgumentType=false, reportRedeclaration=false
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+import several_laws as laws
+
+STEPS = 60
+APART = 0.03  # lengths between two objects
+KINDS = {  # objects, whiskers, support and largest number of contacts
+    "two circles, straight, FB": ("circles", 2, "straight", "FB", 2),
+    "two circles, straight, FBFB": ("circles", 2, "straight", "FBFB", 2),
+    "three circles, straight, clamped": ("circles", 3, "straight", "clamped", 3),
+    "two ellipses, curved, FB": ("ellipses", 2, "curved", "FB", 2),
+    "two ellipses, cone, FBFB": ("ellipses", 2, "cone", "FBFB", 2),
+    "wave, straight, clamped": ("wave", 1, "straight", "clamped", 2),
+    "wave, curved, FB": ("wave", 1, "curved", "FB", 3),
+    "wave, cone, FB": ("wave", 1, "cone", "FB", 2),
+}
+
+
+class Wave(eqx.Module):
+    """A parabola with waves; a module, so that scenes share programs."""
+
+    distance: float
+    amplitude: float
+    wavelength: float
+    a: float
+
+    def __call__(self, x):
+        return self.distance + self.amplitude * (1 - jnp.cos(2 * jnp.pi * x / self.wavelength)) + self.a * x**2
+
+
+class Cone(eqx.Module):
+    """Bending stiffness of a cone."""
+
+    taper: float
+
+    def __call__(self, s):
+        return (1 - self.taper * s) ** 4
+
+
+class Drawn(NamedTuple):
+    """A scene, in plain numbers too, and the control of a scan across it."""
+
+    scene: jw.Scene
+    plain: laws.Plain
+    control: np.ndarray
+
+
+def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS) -> Drawn:
+    """A random scene."""
+    objects, count, whisker, support, contacts = KINDS[kind]
+    rod, plain_rod = _rod(whisker, rng)
+    profile, plain_objects = _wave(rng) if objects == "wave" else _ovals(objects, count, rng)
+    bases, rest = len(support) // 2 if support != "clamped" else 0, 0.2
+    stiffness = float(10 ** rng.uniform(1.3, 2.5))
+    springs = tuple(laws.PlainSpring(k, k + 1, stiffness, rest) for k in range(bases))
+    held = {
+        "clamped": jw.Support.clamped,
+        "FB": lambda: jw.Support.fb(stiffness, rest),
+        "FBFB": lambda: jw.Support.fbfb(stiffness, rest),
+    }[support]()
+    scene = jw.Scene(rod, profile, held, contacts=contacts)
+    plain = laws.Plain((plain_rod,) * max(1, bases), plain_objects, springs)
+    return Drawn(scene, plain, np.linspace(1.7, -2.4 - rest * bases, steps))
+
+
+def _rod(whisker: str, rng: np.random.Generator) -> tuple[jw.Whisker, laws.Rod]:
+    if whisker == "straight":
+        return jw.Whisker(), laws.Rod()
+    if whisker == "curved":
+        kappa = float(rng.uniform(-1.2, 1.2))
+        return jw.Whisker(intrinsic_curvature=kappa), laws.Rod(curvature=lambda s: kappa + 0 * s)
+    taper = float(rng.uniform(0.3, 0.7))
+    return jw.Whisker(bending_stiffness=Cone(taper)), laws.Rod(stiffness=lambda s: (1 - taper * s) ** 4)
+
+
+def _wave(rng: np.random.Generator):
+    uniform = rng.uniform
+    amplitude = float(uniform(0.02, 0.12) * rng.choice([-1, 1]))
+    numbers = float(uniform(0.3, 0.5)), amplitude, float(uniform(0.2, 0.6)), float(uniform(0.3, 1.0))
+    return jw.Graph(Wave(*numbers)), (laws.wave(*numbers),)
+
+
+def _ovals(objects: str, count: int, rng: np.random.Generator):
+    while True:
+        x = np.sort(rng.uniform(-1.1, 0.0, count))[::-1]
+        distance, a = rng.uniform(0.2, 0.7, count), rng.uniform(0.08, 0.3, count)
+        b = a if objects == "circles" else rng.uniform(0.08, 0.3, count)
+        middle, size = np.stack([x, distance + b], axis=1), np.maximum(a, b)
+        pairs = [(i, j) for i in range(count) for j in range(i)]
+        if all(np.linalg.norm(middle[i] - middle[j]) > size[i] + size[j] + APART for i, j in pairs):
+            break
+    each = [tuple(map(float, values)) for values in zip(distance, a, b, x, strict=True)]
+    if objects == "circles":
+        profile = tuple(jw.Circle(q, r, position=at) for q, r, _, at in each)
+        return profile, tuple(laws.circle(q, r, at) for q, r, _, at in each)
+    profile = tuple(jw.Ellipse(q, a, b, position=at) for q, a, b, at in each)
+    return profile, tuple(laws.ellipse(*values) for values in each)
+
+
+def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, float, int, float]]:
+    """The laws of some steps and of the states after events: law, control, step (-1 for an event), value.
+
+    Of `stability` and `spread`, the value is how far it is below zero.
+    """
+    ok = np.flatnonzero(np.asarray(result.status) == jw.Status.ok)
+    states = [(float(result.control[k]), int(k), laws.state_of(result, k)) for k in ok[::every]]
+    states += [(event.control, -1, laws.state_of(event.after)) for event in result.events]
+    found = []
+    for control, step, state in states:
+        values = laws.violations(drawn.plain, control, state)
+        if any(held.contacts for held in state) and values["order"] == 0:
+            values["spread"] = max(0.0, *(-spread for spread in laws.spreads(drawn.plain, state)), 0.0)
+            values["stability"] = max(0.0, -laws.stability(drawn.plain, state))
+        found += [(law, control, step, value) for law, value in values.items()]
+    return found + list(_counts(result, ok))
+
+
+def _counts(result: jw.Result, ok: np.ndarray):
+    """Contacts that begin or end between neighbouring steps although there is no event."""
+    count = np.sum(np.asarray(result.phase) != laws.FREE, axis=-1)
+    events, control = list(result.events), np.asarray(result.control)
+    for k in ok:
+        if k + 1 >= len(control) or result.status[k + 1] != jw.Status.ok:
+            continue
+        between = [e for e in events if control[k + 1] <= e.control < control[k]]
+        if any(e.kind in (jw.EventKind.snap_off, jw.EventKind.snap_through) for e in between):
+            continue
+        for w in range(count.shape[1]):
+            own = [e.kind for e in between if w + 1 in e.whiskers]
+            change = own.count(jw.EventKind.touch) - own.count(jw.EventKind.release)
+            yield "events", float(control[k]), int(k), float(abs(count[k + 1, w] - count[k, w] - change))
