@@ -2,6 +2,7 @@
 
 # pyright: reportArgumentType=false, reportRedeclaration=false
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
@@ -12,6 +13,8 @@ import jaxwhisker as jw
 import several_laws as laws
 
 STEPS = 60
+SNAPS = jw.EventKind.snap_off, jw.EventKind.snap_through
+AT_ONCE = 1e-9  # lengths between an event and the snap that it causes
 APART = 0.03  # lengths between two objects
 KINDS = {  # objects, whiskers, support and largest number of contacts
     "two circles, straight, FB": ("circles", 2, "straight", "FB", 2),
@@ -113,13 +116,17 @@ def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, 
     """
     ok = np.flatnonzero(np.asarray(result.status) == jw.Status.ok)
     states = [(float(result.control[k]), int(k), laws.state_of(result, k)) for k in ok[::every]]
-    states += [(event.control, -1, laws.state_of(event.after)) for event in result.events]
+    events = list(result.events)
+    states += [(event.control, -1, laws.state_of(event.after)) for event in events]
+    # A snap at an event: the state right after the event is not stable.
+    lost = [a.control for a, b in pairwise(events) if b.kind in SNAPS and abs(a.control - b.control) < AT_ONCE]
     found = []
     for control, step, state in states:
         values = laws.violations(drawn.plain, control, state)
         if any(held.contacts for held in state) and values["order"] == 0:
             values["spread"] = max(0.0, *(-spread for spread in laws.spreads(drawn.plain, state)), 0.0)
-            values["stability"] = max(0.0, -laws.stability(drawn.plain, state))
+            if step >= 0 or control not in lost:
+                values["stability"] = max(0.0, -laws.stability(drawn.plain, state))
         found += [(law, control, step, value) for law, value in values.items()]
     return found + list(_counts(result, ok))
 
@@ -132,7 +139,7 @@ def _counts(result: jw.Result, ok: np.ndarray):
         if k + 1 >= len(control) or result.status[k + 1] != jw.Status.ok:
             continue
         between = [e for e in events if control[k + 1] <= e.control < control[k]]
-        if any(e.kind in (jw.EventKind.snap_off, jw.EventKind.snap_through) for e in between):
+        if any(e.kind in SNAPS for e in between):
             continue
         for w in range(count.shape[1]):
             own = [e.kind for e in between if w + 1 in e.whiskers]

@@ -6,6 +6,7 @@ eigenvalue of the second variation of the energy of discrete rods.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -225,7 +226,7 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
     places, ends = np.array(held.places), [0.0, *(c.arc for c in held.contacts), rod.length]
     found = {
         "places": float(np.any((places[1:] != FREE) & (places[:-1] == FREE)) or np.any(places[1:] == TIP)),
-        "order": max(0.0, *(a - b for a, b in zip(ends, ends[1:], strict=False))),
+        "order": max(0.0, *(a - b for a, b in pairwise(ends))),
     }
     if found["order"] > 0:
         return found
@@ -233,7 +234,7 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
     forces = sum((c.force * c.normal for c in held.contacts), np.zeros(2))
     size = 1 + sum(abs(c.force) for c in held.contacts)
     found |= {
-        "balance": float(np.max(np.abs(forces + [held.fx, held.fy]))) / size,
+        "balance": float(np.max(np.abs(forces + np.array([held.fx, held.fy])))) / size,
         "end": abs(there[-1, 3]) / size,
         "depth": max(depth(one, line) for one in plain.objects),
     }
@@ -263,7 +264,7 @@ def depth(one: Callable, line: Line) -> float:
 
 
 def spreads(plain: Plain, state: tuple[Held, ...]) -> list[float]:
-    """The curvatures at which rod and object part at every tangential contact; negative where the rod passes through."""
+    """The curvatures at which rod and object part at tangential contacts; negative where the rod passes through."""
     return [
         _spread(plain, rod, contact, at)
         for rod, held in zip(plain.rods, state, strict=True)
@@ -319,8 +320,8 @@ def _variation(plain: Plain, rod: Rod, held: Held, nodes: int) -> tuple[np.ndarr
     """Second variation of a rod's energy, the elastic part of it, and first variations of the distances."""
     touching = [c for c in held.contacts if c.force > SLIGHT]
     ends = np.unique([0.0, *(c.arc for c in touching), rod.length])
-    parts = [np.linspace(a, b, max(2, int(np.ceil(nodes * (b - a) / rod.length))) + 1)[:-1] for a, b in
-             zip(ends, ends[1:], strict=False)]  # fmt: skip
+    counts = [max(2, int(np.ceil(nodes * (b - a) / rod.length))) for a, b in pairwise(ends)]
+    parts = [np.linspace(*span, count + 1)[:-1] for span, count in zip(pairwise(ends), counts, strict=True)]
     s = np.append(np.concatenate(parts), rod.length)
     h, middle = np.diff(s), (s[1:] + s[:-1]) / 2
     line, there = line_of(rod, held, middle)
@@ -353,5 +354,4 @@ def _variation(plain: Plain, rod: Rod, held: Held, nodes: int) -> tuple[np.ndarr
             second -= np.outer(slope, slope) / _spread(plain, rod, contact, at)
         q -= contact.force * second
         holds.append(normal @ moved)
-    # The unknowns in the order x, y, turn of the base, other turns.
     return q, elastic, np.array(holds).reshape(-1, size)

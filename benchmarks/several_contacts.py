@@ -1,0 +1,72 @@
+"""Soak test of several contacts: random scenes whose states are checked by laws that share no code with the package.
+
+python benchmarks/several_contacts.py [scenes] [seed]     default 40 and 0; five minutes, most of them compilation
+
+Scenes with two and three circles, two ellipses, and parabolas with waves; straight, curved and conical whiskers; clamped,
+on FB and on FBFB. Checked are every fifth step, the states after all events, and that contacts begin and end at events.
+"""
+
+import sys
+import time
+from collections import Counter
+
+import jax
+import numpy as np
+
+import jaxwhisker as jw
+from common import write
+
+# isort: split
+# After common, which puts the helpers of the tests on the search path.
+from random_several import KINDS, checked, drawn
+
+jax.config.update("jax_enable_x64", True)
+
+TOLERANCE = 1e-7  # in L, EI/L^2 per total contact force, and rad: a hundred times the accuracy of states
+
+
+def soaked(number: int, kind: str, scenes: int, seed: int) -> dict:
+    """Scan random scenes of one kind; return a row of the table."""
+    statuses, worst, wrong, events, seconds = Counter(), {}, 0, 0, []
+    for k in range(scenes):
+        one = drawn(kind, np.random.default_rng((seed, number, k)))
+        start = time.perf_counter()
+        result = jax.block_until_ready(jw.scan(one.scene, one.control))
+        events += len(result.events)
+        seconds.append(time.perf_counter() - start)
+        here: dict[str, tuple[float, float]] = {}
+        for law, control, _, value in checked(one, result):
+            here[law] = max(here.get(law, (0.0, 0.0)), (value, control))
+            worst[law] = max(worst.get(law, 0.0), value)
+        large = {law: found for law, found in here.items() if found[0] > TOLERANCE}
+        status = jw.Status(int(np.max(result.status))).name
+        statuses[status] += 1
+        wrong += bool(large)
+        if large or status != "ok":
+            text = ", ".join(f"{law} {value:.2g} at u = {u:.6f}" for law, (value, u) in large.items())
+            at = float(one.control[np.argmax(np.asarray(result.status) != jw.Status.ok)])
+            text += f" {status} at u = {at:.6f}" if status != "ok" else ""
+            print(f"{kind}, seed {(seed, number, k)}: {text}", file=sys.stderr, flush=True)
+    return {
+        "kind": kind,
+        "scenes": scenes,
+        "events": events,
+        "not ok": ", ".join(f"{n} {name}" for name, n in sorted(statuses.items()) if name != "ok"),
+        "wrong": wrong,
+        "law": max(worst, key=worst.__getitem__),
+        "largest residual": max(worst.values()),
+        "s per scene": float(np.median(seconds)),
+    }
+
+
+def main(scenes: int, seed: int) -> None:
+    """Scan all kinds and store the table."""
+    rows = []
+    for number, kind in enumerate(KINDS):
+        rows.append(soaked(number, kind, -(-scenes // len(KINDS)), seed))
+        print(rows[-1], flush=True)
+    write("several_contacts", rows)
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:3]), *(40, 0)[len(sys.argv) - 1 :])
