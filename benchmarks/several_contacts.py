@@ -59,7 +59,7 @@ def soaked(number: int, kind: str, scenes: int, seed: int) -> dict:
     }
 
 
-def main(scenes: int, seed: int) -> None:
+def main(scenes: int = 40, seed: int = 0) -> None:
     """Scan all kinds and store the table."""
     rows = []
     for number, kind in enumerate(KINDS):
@@ -69,4 +69,4 @@ def main(scenes: int, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]), *(40, 0)[len(sys.argv) - 1 :])
+    main(*map(int, sys.argv[1:3]))
