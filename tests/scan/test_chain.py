@@ -1,0 +1,102 @@
+"""Scans of whiskers with several contacts against exact ones: signals, contacts and the derivatives of both."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+from scenes import all_ok
+from several_cases import CASES, changed, contacts_of, number_at, scanned, scene_of
+
+SIGNAL = 1e-8  # relative to a signal's peak, which is stored with nine decimals
+CONTACT = 1e-8  # positions; forces relative to the largest one
+DERIVATIVE = 1e-6  # relative to the largest one of the same quantity and parameter; two step sizes agree to 1e-8
+MODES = 1e-9  # forward against reverse mode, relative to the sum of sizes
+
+by_name = pytest.mark.parametrize("name", CASES)
+
+
+@by_name
+def test_signals_are_exact(name):
+    case, result = CASES[name], scanned(name)
+    assert all_ok(result)
+    for signal in ("base_x", "fx", "fy", "mz"):
+        exact = np.array(case[signal])
+        error = np.asarray(getattr(result, signal)) - exact
+        assert np.max(np.abs(error)) < SIGNAL * np.max(np.abs(exact)), signal
+
+
+@by_name
+def test_contacts_are_exact(name):
+    case, result = CASES[name], scanned(name)
+    peak = max(contact[3] for step in case["contacts"] for contact in step)
+    scale = np.array([1.0, peak, 1.0, 1.0, 1.0])
+    most = 0
+    for k, step in enumerate(case["contacts"]):
+        state = jax.tree.map(lambda leaf, k=k: leaf[k], {n: getattr(result, n) for n in FIELDS})
+        for whisker in range(len(case["whiskers"])):
+            exact = [contact[2:] for contact in step if contact[0] == whisker + 1]
+            found = contacts_of(Fields(state), whisker)
+            assert len(found) == len(exact), k
+            most = max(most, len(exact))
+            if exact:
+                assert np.max(np.abs(np.array(found) - exact) / scale) < CONTACT, k
+    assert most >= min(2, case["contacts_at_once"])
+
+
+FIELDS = "phase", "contact_force", "contact_arc", "contact_x", "contact_y"
+
+
+class Fields:
+    """The state at one step."""
+
+    def __init__(self, fields: dict):
+        self.__dict__.update(fields)
+
+
+def test_free_places_hold_nothing():
+    result = scanned("three_circles")
+    free = np.asarray(result.phase) == jw.Phase.free
+    assert free.shape == (len(result.control), 1, 3)
+    assert np.any(free[..., 0]) and not np.all(free[..., 2])
+    for name in FIELDS:
+        assert np.all(np.asarray(getattr(result, name))[free] == 0), name
+    assert result.contact_object is not None and np.all(np.asarray(result.contact_object)[free] == 0)
+
+
+def test_objects_are_numbered():
+    case, result = CASES["three_circles"], scanned("three_circles")
+    for k, step in enumerate(case["contacts"]):
+        numbers = [int(n) for n in result.contact_object[k, 0] if n > 0]
+        assert numbers == [contact[1] for contact in step][::-1]
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case["derivatives"]])
+def test_derivatives_of_signals(name):
+    case = CASES[name]
+    rows = [row for row in case["derivatives"] if "d_fx" in row]
+    controls = sorted({row["control"] for row in rows}, reverse=True)
+    paths = list({str(row["parameter"]): row["parameter"] for row in rows}.values())
+    control = jnp.array([case["control"][0], *controls])
+
+    def signals(values):
+        result = jw.scan(scene_of(changed(case, paths, values)), control)
+        return jnp.stack([result.fx[1:], result.fy[1:], result.mz[1:]])
+
+    p = jnp.array([number_at(case, path) for path in paths])
+    value, along = jax.linearize(signals, p)
+    each = np.stack([np.asarray(along(unit)) for unit in jnp.eye(p.size)])
+    peak = {}
+    for row in rows:
+        k, at = paths.index(row["parameter"]), controls.index(row["control"])
+        exact = np.array([row["d_fx"], row["d_fy"], row["d_mz"]])
+        key = str(row["parameter"])
+        peak[key] = max(peak.get(key, 1.0), np.max(np.abs(exact)))
+        assert np.max(np.abs(each[k, :, at] - exact)) < DERIVATIVE * max(1.0, np.max(np.abs(exact))), row
+    assert min(peak.values()) > 0
+    weights = jnp.asarray(np.random.default_rng(3).normal(size=value.shape))
+    (pulled,) = jax.linear_transpose(along, p)(weights)
+    pushed = np.sum(each * np.asarray(weights), axis=(1, 2, 3))
+    sizes = np.sum(np.abs(each * np.asarray(weights)), axis=(1, 2, 3))
+    assert np.all(np.abs(pulled - pushed) < MODES * np.maximum(sizes, 1.0))
