@@ -6,11 +6,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
 import several_laws as laws
+from several_cases import Wave
 
 STEPS = 60
 SNAPS = jw.EventKind.snap_off, jw.EventKind.snap_through
@@ -26,18 +26,6 @@ KINDS = {  # objects, whiskers, support and largest number of contacts
     "wave, curved, FB": ("wave", 1, "curved", "FB", 3),
     "wave, cone, FB": ("wave", 1, "cone", "FB", 2),
 }
-
-
-class Wave(eqx.Module):
-    """A parabola with waves; a module, so that scenes share programs."""
-
-    distance: float
-    amplitude: float
-    wavelength: float
-    a: float
-
-    def __call__(self, x):
-        return self.distance + self.amplitude * (1 - jnp.cos(2 * jnp.pi * x / self.wavelength)) + self.a * x**2
 
 
 class Cone(eqx.Module):

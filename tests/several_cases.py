@@ -72,9 +72,9 @@ def number_at(case: dict, path: list) -> float:
 
 @cache
 def scanned(name: str) -> jw.Result:
-    """The scan of a stored case, at its controls."""
+    """The scan of a stored case, at its start and at its controls."""
     case = CASES[name]
-    return jw.scan(scene_of(case), np.array(case["control"]))
+    return jw.scan(scene_of(case), np.array([case["start"], *case["control"]]))
 
 
 def contacts_of(state, whisker: int) -> list[list[float]]:

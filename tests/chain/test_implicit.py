@@ -18,7 +18,7 @@ def test_derivatives_of_events(name):
     case = CASES[name]
     rows = [row for row in case["derivatives"] if "event" in row]
     paths = list({str(row["parameter"]): row["parameter"] for row in rows}.values())
-    control = jnp.array(case["control"])[jnp.array([0, -1])]
+    control = jnp.array([case["start"], case["control"][-1]])
 
     def controls(values):
         return jw.scan(scene_of(changed(case, paths, values)), control).events.control[: len(case["events"])]

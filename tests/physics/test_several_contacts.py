@@ -1,0 +1,132 @@
+"""Laws of whiskers with several contacts, which share no code with the package: of stored and of random scans."""
+
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+import several_laws as laws
+from random_several import KINDS, checked, drawn
+from scenes import all_ok
+from several_cases import CASES
+
+STORED = 1e-8  # laws of stored states, which have nine decimals
+SOLVED = 1e-7  # laws of scans: a hundred times their accuracy, and that of laws next to sharp objects
+STRIDE = 3  # steps between two stored states that are checked
+FOLD = 1e-3  # stability at a fold, of rods with 160 nodes
+AT_ONCE = 1e-6  # distance of a snap from the event that causes it
+SCENES = 3  # of each kind
+
+
+def plain_of(case: dict) -> laws.Plain:
+    """A stored case in plain numbers."""
+    kappa = case["whiskers"][0]["intrinsic_curvature"]
+    rods = tuple(laws.Rod(curvature=lambda s: kappa + 0 * s) for _ in case["whiskers"])
+    makers = {"circle": laws.circle, "ellipse": laws.ellipse, "cosine": laws.wave}
+    objects = tuple(makers[o["kind"]](**{k: v for k, v in o.items() if k != "kind"}) for o in case["objects"])
+    springs = tuple(laws.PlainSpring(*s["between"], s["stiffness"], s["rest_length"]) for s in case["springs"])
+    return laws.Plain(rods, objects, springs, case["along_y"] or np.inf, case["turning"] or np.inf)
+
+
+def held(plain: laws.Plain, values: dict, contacts: list, phase: int = laws.TANGENTIAL) -> tuple[laws.Held, ...]:
+    """A stored state; the phase of contacts at the tip may not be stored, and is this one."""
+    found = []
+    for w, rod in enumerate(plain.rods):
+        own = []
+        for _, number, kind, force, arc, x, y in (c for c in contacts if c[0] == w + 1):
+            normal = plain.objects[number - 1](np.array(x), np.array(y)).normal
+            slope = float(np.arctan2(normal[0], -normal[1]))
+            kind = phase if kind is None and arc == rod.length else kind or laws.TANGENTIAL
+            own.append(laws.Contact(kind, force, arc, x, y, slope, number - 1))
+        fx, fy, mz = (values[name][w] for name in ("fx", "fy", "mz"))
+        places = (*(c.phase for c in own[::-1]), laws.FREE)
+        yields = -fy / plain.along_y, -mz / plain.turning
+        found.append(laws.Held(values["base_x"][w], *yields, fx, fy, mz, tuple(own), places))
+    return tuple(found)
+
+
+def stored(name: str):
+    """A stored case in plain numbers, and its controls and states."""
+    case = CASES[name]
+    plain = plain_of(case)
+    for k in range(0, len(case["control"]), STRIDE):
+        values = {field: case[field][k] for field in ("base_x", "fx", "fy", "mz")}
+        yield plain, case["control"][k], held(plain, values, case["contacts"][k])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_stored_states_obey_all_laws(name):
+    most = 0
+    for plain, control, state in stored(name):
+        found = laws.violations(plain, control, state)
+        assert max(found.values()) < STORED, found
+        assert all(spread > 0 for spread in laws.spreads(plain, state))
+        assert laws.stability(plain, state) > 0
+        most = max(most, sum(len(each.contacts) for each in state))
+    assert most > 1
+
+
+@pytest.mark.parametrize(
+    ("change", "law"),
+    [
+        ({"force": 1.01}, "balance"),
+        ({"arc": 1.001}, "position"),
+        ({"x": 1.001}, "surface"),
+        ({"slope": 1.001}, "normal"),
+        ({"force": -1.0}, "push"),
+    ],
+)
+def test_a_changed_contact_breaks_a_law(change, law):
+    plain, control, state = next(each for each in stored("wavy") if len(each[2][0].contacts) == 2)
+    (whisker,) = state
+    inner, outer = whisker.contacts
+    ((field, factor),) = change.items()
+    inner = inner._replace(**{field: factor * getattr(inner, field)})
+    found = laws.violations(plain, control, (whisker._replace(contacts=(inner, outer)),))
+    assert found[law] > 1e3 * STORED
+
+
+def test_a_whisker_that_passes_through_an_object_is_noticed():
+    plain, control, state = next(each for each in stored("two_circles") if each[2][0].contacts)
+    (whisker,) = state
+    free = whisker._replace(fx=0.0, fy=0.0, mz=0.0, contacts=(), places=(laws.FREE, laws.FREE))
+    found = laws.violations(plain, control, (free,))
+    assert found["depth"] > 1e-3
+
+
+def test_a_base_that_is_not_where_its_spring_holds_it_is_noticed():
+    plain, control, state = next(each for each in stored("two_circles_fbfb") if each[2][0].contacts)
+    moved = state[0]._replace(x=state[0].x + 1e-5)
+    assert laws.violations(plain, control, (moved, state[1]))["springs"] > 1e-6
+
+
+def test_a_tip_contact_behind_two_circles_is_not_stable():
+    """FB loses its stability where its last contact reaches the tip: it is stable before, and not after."""
+    case = CASES["two_circles_fb"]
+    plain, event = plain_of(case), case["events"][-2]["before"]
+    assert case["events"][-1]["kind"] == "snap_off"
+    before, after = (held(plain, event, event["contacts"], phase) for phase in (laws.TANGENTIAL, laws.TIP))
+    assert laws.stability(plain, before) > 0.1
+    assert laws.stability(plain, after) < -0.01
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_stability_vanishes_at_folds(name):
+    case = CASES[name]
+    plain, at = plain_of(case), 0.0
+    for event in case["events"]:
+        if "after" in event and event["control"] < at - AT_ONCE:
+            state = held(plain, event["before"], event["before"]["contacts"], laws.TIP)
+            assert abs(laws.stability(plain, state)) < FOLD
+        at = event["control"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_scenes_obey_all_laws(kind):
+    number = list(KINDS).index(kind)
+    for k in range(SCENES):
+        one = drawn(kind, np.random.default_rng((0, number, k)))
+        result = jw.scan(one.scene, one.control)
+        assert all_ok(result), (k, result)
+        assert len(result.events) > 2
+        for law, control, _, value in checked(one, result):
+            assert value < SOLVED, (k, law, control)
