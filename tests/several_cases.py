@@ -14,9 +14,6 @@ import jaxwhisker as jw
 CASES = {
     c["name"]: c for c in json.loads((Path(__file__).parent / "data" / "several_contacts.json").read_text())["cases"]
 }
-# Three problem shapes: one clamped whisker below a graph, two whiskers on springs below circles, and three contacts.
-SHORT = "groove", "wavy", "two_circles_fbfb", "three_circles"
-PHASES = jw.Phase.tip, jw.Phase.tangential
 
 
 class Wave(eqx.Module):
