@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._chain.approach import all_free, is_clear, limits_of
+from jaxwhisker._chain.approach import all_free, clearance, limits_of
 from jaxwhisker._equilibrium.contact import Phase
 from several_engine import problem
 
@@ -18,7 +18,7 @@ def test_free_whiskers_have_no_contacts():
 @pytest.mark.parametrize(("u", "clear"), [(1.2, True), (1.0, False), (0.0, False), (-1.2, True)])
 def test_whiskers_are_clear_beyond_the_first_touch(u, clear):
     """That of `wavy` is at 1.056."""
-    assert bool(jax.jit(is_clear)(problem(), jnp.asarray(u))) == clear
+    assert (float(jax.jit(clearance)(problem(), jnp.asarray(u))) > 0) == clear
 
 
 def test_a_scan_begins_at_its_first_step_or_before_the_object():
@@ -26,6 +26,6 @@ def test_a_scan_begins_at_its_first_step_or_before_the_object():
     assert float(limits(problem(), jnp.asarray(1.3)).start) == 1.3
     for first in (0.2, np.nan):
         found = limits(problem(), jnp.asarray(first))
-        assert bool(is_clear(problem(), found.start))
+        assert float(clearance(problem(), found.start)) > 0
         assert 1.056 < float(found.start) < 1.2
         assert float(found.far) < -3.0

@@ -1,16 +1,17 @@
 """Where a scan of whiskers with several contacts begins, and where it ends if nothing happens.
 
-If the unloaded whiskers are clear of all objects at the first position of the control, the scan starts there: also inside
-a hollow. If not, the drive comes from afar along its line.
+If the unloaded whiskers are clear of all objects at the first position of the control, the scan starts there, also
+inside a hollow. If not, the drive comes from afar along its line.
 """
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.march_state import MarchOfChain, TrialOfChain
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.stance import stance_of
 from jaxwhisker._equilibrium.contact import Phase
@@ -19,6 +20,7 @@ from jaxwhisker._path.continuation import Limits
 
 CLEAR = 1e-9  # lengths: distance of whiskers that are clear of an object
 HIGHEST_FORCE = 100.0  # EI/L^2 on every base; forces before a release hardly ever reach it
+PASSED = 0.25  # lengths from the object at which a scan right across it ends
 REACH = 2.0  # lengths of the longest whisker from the object at which loaded ones have come free, too
 PLACES = np.concatenate([0.05 * np.arange(120), 6.0 * 1.1 ** np.arange(32)])  # distances on the way, in lengths
 
@@ -60,3 +62,21 @@ def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
     here = ~whole & (each[0, 0] > CLEAR)
     start = jnp.where(here, middle, middle - onwards * before)
     return Limits(start, far, far)
+
+
+def has_passed(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> Bool[Array, ""]:
+    """Whether all whiskers have passed the objects and cannot meet them again: the drive moves on along a line."""
+    if problem.ends is not None:
+        return jnp.asarray(False)
+    here, there = march.stance.distance, trial.stance.distance
+    leaves = jnp.all((there > here) & (there > PASSED)) & ~jnp.any(march.state.touches)
+    far = march.direction * (trial.point.u - far_side(problem)) > 0
+    return march.touched & (march.goal > 0) & (march.goal >= trial.last) & leaves & far
+
+
+def far_side(problem: ChainProblem) -> Scalar:
+    """A control beyond which whiskers have passed the lowest points of all objects."""
+    base = problem.in_scene(jnp.zeros(()), problem.rest)
+    lowest = jnp.stack([jnp.asarray(one.vertex()[0], dtype=float) for one in problem.profile.objects])
+    way = problem.onwards.astype(float)
+    return way * (jnp.max(way * lowest) - jnp.min(way * base.x)) + way * jnp.max(problem.length)

@@ -2,16 +2,16 @@
 
 A contact is described by z = (force, parameter, slack): the magnitude f >= 0 of the contact force, the parameter of the
 object's profile, and the slack. At the tip, the slack is negative: minus the angle between the whisker and the object's
-tangent. Elsewhere it is positive: the arc length of the whisker beyond the contact. Contacts are ordered from the tip to
-the base, and places that are not used follow. Only the outermost contact may be at the tip.
+tangent. Elsewhere it is positive: the arc length of the whisker beyond the contact. Contacts are ordered from the tip
+to the base, and places that are not used follow. Only the outermost contact may be at the tip.
 
-Between two contacts nothing acts on the whisker. The internal force is therefore the sum R of the contact forces beyond,
-and the moment is known wherever the shaft passes:
+Between two contacts nothing acts on the whisker. The internal force is therefore the sum R of the contact forces
+beyond, and the moment is known wherever the shaft passes:
 
     EI (kappa - kappa0) = A - x R_y + y R_x,    A = sum of (c_x F_y - c_y F_x) over the contacts c beyond.
 
-Each segment is integrated from the contact itself. At its other end, it must meet the next contact and be parallel to the
-object there, or it ends at the base.
+Each segment is integrated from the contact itself. At its other end, it must meet the next contact and be parallel to
+the object there, or it ends at the base.
 """
 
 from typing import NamedTuple
@@ -31,9 +31,10 @@ from jaxwhisker._equilibrium.contact import (
     in_base_frame,
     material_of,
 )
+from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.profile import ContactPoint
 from jaxwhisker._rod import rod
-from jaxwhisker._rod.rod import Load, RodState, Section, moment
+from jaxwhisker._rod.rod import Load, RodState, RodStates, Section, moment
 
 PerContact = Float[Array, "*batch contacts"]
 
@@ -65,9 +66,15 @@ class Segments(NamedTuple):
     arc: PerContact  # length of the segment
 
 
+def objects_of_body(body: WhiskerAtObject) -> Objects:
+    """The objects before a whisker, also if there is only one."""
+    assert isinstance(body.profile, Objects)
+    return body.profile
+
+
 def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> Segments:
     """The segments of a whisker with these contacts, and the loads on them."""
-    touches, placeholder = state.touches, body.profile.placeholder_parameter
+    touches, placeholder = state.touches, objects_of_body(body).placeholder_parameter
     assert placeholder is not None
     piece = jnp.where(touches, state.piece, 0)
     parameter = jnp.where(touches, z[:, PARAMETER], placeholder[0])
@@ -95,7 +102,7 @@ def fractions(steps: int) -> np.ndarray:
     return (1 - np.cos(np.pi * np.arange(steps + 1) / steps)) / 2
 
 
-def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, from_base: Array) -> RodState:
+def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, from_base: Array) -> RodStates:
     """States at the ends of all integration steps of some segments; fields (segments, points)."""
     material, times = material_of(body), jnp.asarray(fractions(step_count(body)))
 
@@ -108,7 +115,7 @@ def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, 
     return jax.vmap(one)(starts, loads, arcs, from_base)
 
 
-def ends_of(body: WhiskerAtObject, chain: Segments) -> RodState:
+def ends_of(body: WhiskerAtObject, chain: Segments) -> RodStates:
     """States at the ends of all segments; fields (contacts,)."""
     states = segments(body, chain.start, chain.load, chain.arc, body.length - chain.beyond)
     return jax.tree.map(lambda leaf: leaf[:, -1], states)
@@ -148,10 +155,10 @@ def equations(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: Chain
         return jnp.sum(jnp.where(last, values, 0.0))
 
     load = Load(*(of_last(jnp.asarray(part)) for part in (chain.load.force_x, chain.load.force_y, chain.load.moment)))
-    at_base = *map(of_last, (x, y, cos)), jnp.where(jnp.any(last), of_last(sin), 1.0)  # of a free whisker, upright
-    bend = jnp.asarray(moment(at_base[0], at_base[1], load))
-    zero = jnp.zeros(())
-    base = Base(*at_base, jnp.asarray(load.force_x), jnp.asarray(load.force_y), bend, zero, zero, zero, zero)
+    base_x, base_y, upwards, zero = of_last(x), of_last(y), of_last(sin), jnp.zeros(())
+    upwards = jnp.where(jnp.any(last), upwards, 1.0)  # free whiskers stand upright here
+    reaction = jnp.asarray(load.force_x), jnp.asarray(load.force_y), jnp.asarray(moment(base_x, base_y, load))
+    base = Base(base_x, base_y, of_last(cos), upwards, *reaction, zero, zero, zero, zero)
     in_frame = in_base_frame(body, base)
     pose = jnp.stack([in_frame.x, in_frame.y, in_frame.turn])
     own = jnp.where(last[:, None], pose, jnp.where(inner[:, None], meets, z))

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.polygons import AtFace, at_corner, faces_of, nearest_face, of_corners
-from jaxwhisker._chain.shaft import Shaft, cell_of
+from jaxwhisker._chain.shaft import WholeShaft, cell_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.objects import Objects, of_each_object
 from jaxwhisker._model.polygon_chain import PolygonChain
@@ -47,7 +47,7 @@ class Gaps(NamedTuple):
     distance: Scalar  # least distance of any point from any object; of touching whiskers, of candidates only
 
 
-def gaps_of(profile: Objects, shaft: Shaft, reach: Scalar) -> Gaps:
+def gaps_of(profile: Objects, shaft: WholeShaft, reach: Scalar) -> Gaps:
     """The candidates for new contacts of a shaft: for each object one on the shaft, one at the tip and one at corners.
 
     `reach` is the length of the whisker.
@@ -62,7 +62,7 @@ def gaps_of(profile: Objects, shaft: Shaft, reach: Scalar) -> Gaps:
     return Gaps(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *candidates), jnp.min(jnp.stack(distance)))
 
 
-class Outline(NamedTuple):
+class ObjectOutline(NamedTuple):
     """Points of a smooth object, from which the nearest one to a point is looked for."""
 
     parameters: Float[Array, " table"]
@@ -71,17 +71,17 @@ class Outline(NamedTuple):
     spacing: Scalar
 
 
-def outline_of(one: AbstractProfile, x: Scalar, y: Scalar, reach: Scalar) -> Outline:
+def outline_of(one: AbstractProfile, x: Scalar, y: Scalar, reach: Scalar) -> ObjectOutline:
     """Points of an object that may be within reach of a point."""
     low, high = one.around(x, y, reach)
     # Where a closed outline ends, conic sections lose their digits.
     low, high = low + ENDS * (high - low), high - ENDS * (high - low)
     parameters = low + (high - low) * jnp.asarray(np.arange(TABLE + 1) / TABLE)
     at = jax.vmap(one.point)(parameters)
-    return Outline(parameters, at.x, at.y, (high - low) / TABLE)
+    return ObjectOutline(parameters, at.x, at.y, (high - low) / TABLE)
 
 
-def nearest(one: AbstractProfile, outline: Outline, x: Scalar, y: Scalar) -> Scalar:
+def nearest(one: AbstractProfile, outline: ObjectOutline, x: Scalar, y: Scalar) -> Float[Array, ""]:
     """The parameter of the point of an object that is nearest to a point close to it."""
     apart = (outline.x - x) ** 2 + (outline.y - y) ** 2
     start, spacing = outline.parameters[jnp.argmin(jnp.where(jnp.isfinite(apart), apart, jnp.inf))], outline.spacing
@@ -99,7 +99,7 @@ def nearest(one: AbstractProfile, outline: Outline, x: Scalar, y: Scalar) -> Sca
 
 
 def _of_smooth(
-    one: AbstractProfile, first: Int[Array, ""], shaft: Shaft, reach: Scalar
+    one: AbstractProfile, first: Int[Array, ""], shaft: WholeShaft, reach: Scalar
 ) -> tuple[list[Candidate], Scalar]:
     outline = outline_of(one, shaft.x[-1, -1], shaft.y[-1, -1], 1.5 * reach)
     spacing = outline.spacing
@@ -168,7 +168,7 @@ def _of_smooth(
     return [on_shaft, at_tip], jnp.min(gap)
 
 
-def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tuple[list[Candidate], Scalar]:
+def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -> tuple[list[Candidate], Scalar]:
     faces = faces_of(one)
     near = jax.vmap(jax.vmap(lambda x, y: nearest_face(faces, x, y)))(shaft.x, shaft.y)
     corners, distance = _past_corners(one, first, shaft)
@@ -176,7 +176,7 @@ def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tuple
     return candidates, jnp.minimum(jnp.min(near.distance), distance)
 
 
-def _tip_at_face(one: PolygonChain, first: Int[Array, ""], shaft: Shaft, near: AtFace) -> Candidate:
+def _tip_at_face(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft, near: AtFace) -> Candidate:
     """The tip, before the nearest face."""
     faces, tip = faces_of(one), jax.tree.map(lambda leaf: leaf[0, 0], near)
     cos, sin = faces.cos[tip.number], faces.sin[tip.number]
@@ -193,7 +193,7 @@ def _tip_at_face(one: PolygonChain, first: Int[Array, ""], shaft: Shaft, near: A
     )
 
 
-def _past_corners(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tuple[Candidate, Scalar]:
+def _past_corners(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -> tuple[Candidate, Scalar]:
     """The corner that is nearest to the shaft, of those that it may touch, and the distance of the nearest one."""
     faces = faces_of(one)
 
@@ -228,7 +228,7 @@ def _past_corners(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> tup
     return found, jnp.min(apart)
 
 
-def _along_faces(one: PolygonChain, first: Int[Array, ""], shaft: Shaft) -> Candidate:
+def _along_faces(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -> Candidate:
     """The point of the shaft that is nearest to a face to which it is parallel there."""
     faces = faces_of(one)
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.march_state import removed
 from jaxwhisker._chain.newton import residuals
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
@@ -36,14 +37,14 @@ def solved(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> 
     return jnp.reshape(unknowns, z.shape)
 
 
-class _KnownEvent(NamedTuple):
+class _KnownEventOfChain(NamedTuple):
     at: KnownOfChain
     weight: Contacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
     origin: Contacts  # the unknowns from which that sum is measured, apart from derivatives
     on_edge: Float[Array, "2 rows"]  # rows whose parameter is at the beginning and at the end of its piece
 
 
-def _at_event(unknowns: Float[Array, " n"], known: _KnownEvent) -> Float[Array, " n"]:
+def _at_event(unknowns: Float[Array, " n"], known: _KnownEventOfChain) -> Float[Array, " n"]:
     problem, u, state = known.at
     z, control = jnp.reshape(unknowns[:-1], (-1, 3)), unknowns[-1]
     residual = residuals(problem, z, control, state)[0]
@@ -88,8 +89,7 @@ def _event(problem: ChainProblem, node: Node, previous: Node, filled: Array) -> 
     rests = solved(problem, jnp.where(filled, node.point.z, 0.0), u, after)
     before = _if_filled(jax.tree.map(lambda a, b: jnp.where(caused, a, b), at.state, node.before), filled)
     z_before = jnp.where(caused, solved_at.after, solved_at.before)
-    released = node.kind == EventKind.release
-    z_after = jnp.where(snaps | released, rests, solved_at.after)
+    z_after = jnp.where(snaps, rests, solved_at.after)
     return u, ChainSide(z_before, u, before), ChainSide(z_after, u, after)
 
 
@@ -100,7 +100,7 @@ def _if_filled(state: ChainState, filled: Array) -> ChainState:
 class _SolvedEvent(NamedTuple):
     u: Scalar
     before: Contacts
-    after: Contacts  # but of a snap or a release
+    after: Contacts  # but of a snap
 
 
 def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array) -> _SolvedEvent:
@@ -121,19 +121,13 @@ def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array
     low, high = jax.lax.stop_gradient(problem.profile.ends_on(jnp.where(state.touches, state.piece, 0)))
     at_end = jnp.abs(z[:, PARAMETER] - high) < jnp.abs(z[:, PARAMETER] - low)
     on_edge = jnp.stack([rows & edge & ~folds & ~at_end, rows & edge & ~folds & at_end]).astype(float)
-    known = _KnownEvent(KnownOfChain(problem, u, state), jax.lax.stop_gradient(weight), z, on_edge)
+    known = _KnownEventOfChain(KnownOfChain(problem, u, state), jax.lax.stop_gradient(weight), z, on_edge)
     unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), known)
     # The equations are singular where stability is lost: derivatives of contacts there need second derivatives.
     here = jnp.where(folds, without_rule(z, problem, folds), jnp.reshape(unknowns[:-1], z.shape))
-    z_before = jnp.where(filled, jnp.where(touch, _without_new(problem, node, here), here), 0.0)
+    z_before = jnp.where(touch, removed(here, state, rows, problem.contacts)[0], here)
+    z_before = jnp.where(filled, z_before, 0.0)
     # Apart from a slack of half a turn, which becomes 0, numbers do not change.
     shift = jax.lax.stop_gradient(jnp.where(filled & ~touch & ~released & ~folds, node.point.z - z, 0.0))
-    return _SolvedEvent(unknowns[-1], z_before, here + shift)
-
-
-def _without_new(problem: ChainProblem, node: Node, z: Contacts) -> Contacts:
-    """The contacts without the one that begins at a node."""
-    contacts, index, row = problem.contacts, jnp.arange(z.shape[0]), jnp.argmax(node.whiskers)
-    moves = (index >= row) & (index // contacts == row // contacts)
-    at_end = moves & (index % contacts == contacts - 1)
-    return jnp.where(at_end[:, None], 0.0, z[jnp.where(moves & ~at_end, index + 1, index)])
+    without, _ = removed(here, state, rows & released, problem.contacts)
+    return _SolvedEvent(unknowns[-1], z_before, jnp.where(released, without, here + shift))

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -104,4 +103,4 @@ def removed(z: Contacts, state: ChainState, rows: Bool[Array, " rows"], contacts
         moved = leaf[source]
         return jnp.where(empty[:, None] if leaf.ndim > 1 else empty, nothing, moved)
 
-    return taken(z, 0.0), jax.tree.map(taken, state, ChainState(0, 1.0, 0))
+    return taken(z, 0.0), ChainState(*(taken(own, nothing) for own, nothing in zip(state, (0, 1.0, 0), strict=True)))

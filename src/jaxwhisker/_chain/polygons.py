@@ -15,7 +15,7 @@ IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 PROBE = 0.1  # share of a corner's depth
 
 
-class Faces(NamedTuple):
+class PolygonFaces(NamedTuple):
     """The sides of a polygon, also its top, which is the last real one; fields (corners,)."""
 
     x: Float[Array, " corners"]
@@ -28,14 +28,17 @@ class Faces(NamedTuple):
     touchable: Bool[Array, " corners"]  # not the top
 
 
-def faces_of(one: PolygonChain) -> Faces:
+def faces_of(one: PolygonChain) -> PolygonFaces:
     """The sides of a polygon."""
     k = np.arange(one.xy.shape[0])
     following = jnp.where(k + 1 < one.count, np.minimum(k + 1, k[-1]), 0)
     (x, y), (to_x, to_y) = one.xy.T, one.xy[following].T
-    slopes, real = one.slopes[1:], k < one.count
+    slopes, real = one.slopes[1:], jnp.asarray(k < one.count)
+    touchable = jnp.asarray(k < one.count - 1)
     length = jnp.where(real, jnp.hypot(to_x - x, to_y - y), 1.0)
-    return Faces(x, y, to_y, jnp.cos(slopes), jnp.sin(slopes), length, real, k < one.count - 1)
+    return PolygonFaces(
+        x, y, to_y, jnp.cos(slopes), jnp.sin(slopes), length, jnp.asarray(real), jnp.asarray(k < one.count - 1)
+    )
 
 
 class AtFace(NamedTuple):
@@ -46,7 +49,7 @@ class AtFace(NamedTuple):
     along: Scalar  # from its first corner
 
 
-def nearest_face(faces: Faces, x: Scalar, y: Scalar) -> AtFace:
+def nearest_face(faces: PolygonFaces, x: Scalar, y: Scalar) -> AtFace:
     """The side of a polygon that is nearest to a point."""
     right, up = x - faces.x, y - faces.y
     along = jnp.clip(right * faces.cos + up * faces.sin, 0.0, faces.length)
@@ -70,7 +73,7 @@ class AtCorner(NamedTuple):
 
 
 def at_corner(
-    one: PolygonChain, faces: Faces, k: Int[Array, ""], x: Scalar, y: Scalar, cos: Scalar, sin: Scalar
+    one: PolygonChain, faces: PolygonFaces, k: Int[Array, ""], x: Scalar, y: Scalar, cos: Scalar, sin: Scalar
 ) -> AtCorner:
     """How the point of a shaft that is nearest to a corner would touch it; the direction is from base to tip."""
     before, after = one.slopes[k], one.slopes[k + 1]

@@ -1,8 +1,8 @@
 """Where whiskers come to rest that have lost their stability: the flow of coarse rods at a fixed control.
 
-Each whisker is a chain of rigid links with springs between them. Its drag is that of turning links, and objects push back
-the ends of links in proportion to their depth. Time steps are linearly implicit and grow until nothing moves. The contacts
-in which the rods come to rest are a guess for the exact equations.
+Each whisker is a chain of rigid links with springs between them. Its drag is that of turning links, and objects push
+back the ends of links in proportion to their depth, and corners the links themselves. Time steps are linearly implicit
+and grow until nothing moves. The contacts in which the rods come to rest are a guess for the exact equations.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.gaps import nearest, outline_of
 from jaxwhisker._chain.polygons import at_corner, corner_signs, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
-from jaxwhisker._chain.shaft import Shaft
+from jaxwhisker._chain.shaft import WholeShaft
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of, of_each
 from jaxwhisker._equilibrium.point import Contacts
 from jaxwhisker._model.objects import of_each_object
@@ -37,7 +37,7 @@ NEIGHBOURS = 1.6  # links between two places that belong to one contact
 AT_TIP = 0.5  # links from the tip within which a contact is one at the tip
 
 
-class Rods(NamedTuple):
+class CoarseRods(NamedTuple):
     """The state of the flow."""
 
     angle: Float[Array, "whiskers links"]  # of the links to the x axis
@@ -194,7 +194,7 @@ def _poses(problem: ChainProblem, springs: Array) -> BasePoses:
     return problem.rest + jnp.reshape(jnp.sum(root * springs, axis=1), (-1, 3))
 
 
-def rods_of(problem: ChainProblem, shafts: Shaft, load: BasePoses) -> Rods:
+def rods_of(problem: ChainProblem, shafts: WholeShaft, load: BasePoses) -> CoarseRods:
     """The rods with the shapes of these shafts; `load` are those on their bases."""
 
     def one(shaft, length):
@@ -207,16 +207,16 @@ def rods_of(problem: ChainProblem, shafts: Shaft, load: BasePoses) -> Rods:
     # Angles of the links continue that of the base.
     turn = jnp.round((angle[:, :1] - np.pi / 2) / (2 * np.pi)) * 2 * np.pi
     springs = jnp.sum(problem.flexibility.root * jnp.ravel(load)[:, None], axis=0)
-    return Rods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
+    return CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
 
 
-def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""]) -> Rods:
+def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array, ""]) -> CoarseRods:
     """The rods at rest; nothing is computed unless the flow begins."""
     n, root = problem.length.shape[0], problem.flexibility.root
     each, size = of_each(problem.bodies(u), _whisker), n * LINKS
     drag = jnp.append(jnp.repeat(each.link, LINKS), jnp.ones(root.shape[1]))
 
-    def linearised(rods: Rods):
+    def linearised(rods: CoarseRods):
         pose = _poses(problem, rods.springs)
         gradient, second, ends = jax.vmap(lambda *own: _system(problem, *own))(each, problem.length, rods.angle, pose)
         roots = jnp.reshape(root, (n, 3, -1))
@@ -228,7 +228,7 @@ def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""])
         right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
         return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends
 
-    def step(rods: Rods) -> Rods:
+    def step(rods: CoarseRods) -> CoarseRods:
         right, system, ends = linearised(rods)
         system += jnp.diag(drag / rods.time)
         change = -solve(system, right[:, None])[:, 0]
@@ -240,7 +240,7 @@ def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""])
         growth = jnp.where(moved < STRIDE / 8, 3.0, jnp.where(moved < STRIDE / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
         rests = good & (moved < REST) & (rods.time >= LONGEST_TIME / 4)
-        return Rods(
+        return CoarseRods(
             jnp.where(good, angle, rods.angle),
             jnp.where(good, springs, rods.springs),
             jnp.where(good, longer, rods.time / 4),
@@ -248,7 +248,7 @@ def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""])
             rests,
         )
 
-    def goes_on(rods: Rods):
+    def goes_on(rods: CoarseRods):
         return begins & ~rods.rests & (rods.steps < STEPS) & (rods.time > 1e-12)
 
     end = jax.lax.while_loop(goes_on, step, start)
@@ -256,7 +256,7 @@ def flow(problem: ChainProblem, u: Scalar, start: Rods, begins: Bool[Array, ""])
     return end._replace(rests=end.rests & positive_definite(linearised(end)[1]))
 
 
-def landing_of(problem: ChainProblem, u: Scalar, rods: Rods) -> Landing:
+def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
     """The contacts of rods at rest."""
     each, room = of_each(problem.bodies(u), _whisker), problem.contacts
     owner = problem.profile.object_of

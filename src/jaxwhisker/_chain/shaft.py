@@ -9,12 +9,12 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState, chain_of, fractions, segments, step_count
 from jaxwhisker._equilibrium.contact import WhiskerAtObject, material_of
-from jaxwhisker._rod.rod import Load, RodState, Section, graded, moment
+from jaxwhisker._rod.rod import Load, RodStates, Section, graded, moment
 
 Points = Float[Array, "segments points"]
 
 
-class Shaft(NamedTuple):
+class WholeShaft(NamedTuple):
     """Points of a shaft. The first segment lies beyond all contacts, each other one begins at a contact."""
 
     beyond: Points  # arc length of the whisker beyond a point
@@ -39,7 +39,7 @@ class BaseAt(NamedTuple):
 class Pieces(NamedTuple):
     """All segments of a whisker: first the one beyond its contacts, from there outwards, then one from each contact."""
 
-    start: RodState  # fields (segments,)
+    start: RodStates  # fields (segments,)
     load: Load
     arc: Float[Array, " segments"]  # towards the base; negative outwards
     from_base: Float[Array, " segments"]  # arc length at the start
@@ -50,8 +50,13 @@ def pieces_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: Chain
     chain, free, zero = chain_of(body, z, state), ~state.touches[0], jnp.zeros(1)
     from_base = jnp.where(free, 0.0, body.length - chain.beyond[0])
     # Places that are not used are at the base.
-    own = tuple(jnp.where(state.touches, there, at) for at, there in zip(base, chain.start, strict=True))
-    start = tuple(jnp.append(values[0], values) for values in own)
+
+    def with_first(at: Scalar, there: Scalar) -> Array:
+        own = jnp.where(state.touches, there, at)
+        return jnp.append(own[0], own)
+
+    x, y, cos, sin = chain.start
+    start = with_first(base.x, x), with_first(base.y, y), with_first(base.cos, cos), with_first(base.sin, sin)
     load = Load(
         *(jnp.append(zero, jnp.asarray(part)) for part in (chain.load.force_x, chain.load.force_y, chain.load.moment))
     )
@@ -59,7 +64,7 @@ def pieces_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: Chain
     return Pieces(start, load, arc, jnp.append(from_base, body.length - chain.beyond))
 
 
-def shaft_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, base: BaseAt) -> Shaft:
+def shaft_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, base: BaseAt) -> WholeShaft:
     """The shaft of a whisker with these contacts."""
     starts, loads, arcs, from_base = pieces_of(body, z, state, base)
     x, y, cos, sin = segments(body, starts, loads, arcs, from_base)
@@ -67,13 +72,14 @@ def shaft_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainS
     bent = jnp.asarray(jax.vmap(moment)(x, y, loads))
     material = material_of(body)
     if isinstance(material, Section):
-        curvature = jax.vmap(jax.vmap(material.total_curvature))(bent, body.length - beyond)
+        curvature = jnp.asarray(jax.vmap(jax.vmap(material.total_curvature))(bent, body.length - beyond))
     else:
-        curvature = bent / material
+        curvature = bent / jnp.asarray(material)
     # The part beyond all contacts has been integrated outwards.
-    turned = [leaf.at[0].set(leaf[0, ::-1]) for leaf in (beyond, x, y, cos, sin, curvature)]
+    points = WholeShaft(beyond, x, y, cos, sin, curvature, jnp.zeros(()), jnp.zeros(()))
+    points = jax.tree.map(lambda leaf: leaf.at[0].set(leaf[0, ::-1]) if leaf.ndim else leaf, points)
     at_contact = jnp.where(state.touches, state.piece, -1)
-    return Shaft(*turned, jnp.append(-1, at_contact), jnp.append(at_contact, -1))
+    return points._replace(starts=jnp.append(-1, at_contact), ends=jnp.append(at_contact, -1))
 
 
 def point_at(
@@ -117,7 +123,7 @@ class Cell(NamedTuple):
         return rate
 
 
-def cell_of(shaft: Shaft, segment: Int[Array, ""], k: Int[Array, ""]) -> Cell:
+def cell_of(shaft: WholeShaft, segment: Int[Array, ""], k: Int[Array, ""]) -> Cell:
     """The cell between the points k and k + 1 of a segment."""
     here, there = (jax.tree.map(lambda leaf, j=j: leaf[segment, j], shaft[:6]) for j in (k, k + 1))
     h = there[0] - here[0]

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, chain_of
+from jaxwhisker._chain.contacts import ChainState, chain_of, objects_of_body
 from jaxwhisker._chain.gaps import Candidate, Gaps, gaps_of
 from jaxwhisker._chain.march_state import ChainStance
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
-from jaxwhisker._chain.shaft import BaseAt, Shaft, shaft_of
+from jaxwhisker._chain.shaft import BaseAt, WholeShaft, shaft_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, of_each
 from jaxwhisker._equilibrium.point import Contacts
 
@@ -23,7 +23,7 @@ def bases_of(problem: ChainProblem, u: Scalar, pose: BasePoses) -> BaseAt:
     return BaseAt(at.x, at.y, -jnp.sin(at.angle), jnp.cos(at.angle))
 
 
-def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> Shaft:
+def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> WholeShaft:
     """The shafts of all whiskers; fields (whiskers, ...)."""
     own = of_whiskers(problem, (z, state))
     return of_each(problem.bodies(u), shaft_of, *own, bases_of(problem, u, pose))
@@ -37,7 +37,7 @@ def stance_of(
 
     def one(body: WhiskerAtObject, z, state, base) -> tuple[Gaps, Bool[Array, ""]]:
         shaft = shaft_of(body, z, state, base)
-        return gaps_of(body.profile, shaft, body.length), opens(body, z, state, shaft)
+        return gaps_of(objects_of_body(body), shaft, body.length), opens(body, z, state, shaft)
 
     gaps, open_ = of_each(bodies, one, *of_whiskers(problem, (z, state)), bases_of(problem, u, pose))
 
@@ -51,12 +51,14 @@ def stance_of(
     return ChainStance(gaps.candidates.gap, gaps.distance, jnp.all(open_), speed), gaps.candidates
 
 
-def opens(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, shaft: Shaft) -> Bool[Array, ""]:
+def opens(
+    body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, shaft: WholeShaft
+) -> Bool[Array, ""]:
     """Whether object and shaft part on both sides of every contact on the shaft."""
     chain = chain_of(body, z, state)
     at = chain.contact
     piece = jnp.where(state.touches, state.piece, 0)
-    placeholder = body.profile.placeholder_parameter
+    placeholder = objects_of_body(body).placeholder_parameter
     assert placeholder is not None
     parameter = jnp.where(state.touches, z[:, 1], placeholder[0])
 

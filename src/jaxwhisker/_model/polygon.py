@@ -136,7 +136,7 @@ class _Filled(_AbstractPolygon):
 
     vertices: Corners | Float[np.ndarray, "corners 2"]
     count: Count
-    concave: bool = eqx.field(static=True, default=False)
+    concave: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def corners(self):
         return jnp.asarray(self.vertices)
@@ -201,7 +201,7 @@ def _filled(corners: Any, *, concave: bool) -> _Filled:
     """A polygon of 8, 16, 32, ... corners, of which the last one is repeated."""
     count = corners.shape[0]
     last = np.minimum(np.arange(max(8, 1 << (count - 1).bit_length())), count - 1)
-    return _Filled(corners[last], np.asarray(count), concave)
+    return _Filled(corners[last], np.asarray(count), concave=concave)
 
 
 _is_convex_now = Program(is_convex)

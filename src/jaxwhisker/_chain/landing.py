@@ -1,0 +1,110 @@
+"""What follows from a loss of stability: where whiskers come to rest, and in which contacts.
+
+Coarse rods flow at a control a little behind the loss (rod_flow.py). The contacts in which they come to rest are solved
+for exactly, there and at the loss itself; contacts that pull, have the wrong phase or are missing are exchanged.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.march_state import PHASE, RELEASE, SNAP, ChainFlow, MarchOfChain, TrialOfChain, inserted, removed
+from jaxwhisker._chain.margins import MARGIN_NOISE, is_full, margins_of, new_contact
+from jaxwhisker._chain.newton import evaluate, of_whiskers
+from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.rod_flow import flow, landing_of, rods_of
+from jaxwhisker._chain.stance import shafts_of
+from jaxwhisker._equilibrium.contact import SLACK, Phase
+from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path.march_state import Outcome, Task
+from jaxwhisker._path.path import EventKind, Status, first_case, select
+
+# Distances of the control behind a loss at which rods flow, dimensionless: coarse rods may still be stable close to it.
+BEYOND = (3e-3, 2e-2, 1e-1)
+SLIPS = 0.02  # along the path, from where a contact slips over an end
+DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
+
+
+def to_snap(march: MarchOfChain) -> MarchOfChain:
+    """The state that is about to leave an equilibrium that has lost its stability."""
+    pending = march.node(march.point, march.tangent)
+    # A contact that slips over an end begins to flow beyond it.
+    z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
+    return march.replace(
+        task=jnp.asarray(int(Task.flow)),
+        flow=ChainFlow(jnp.where(march.slips, BEYOND[1], BEYOND[0]), z, march.point.u, jnp.asarray(0)),
+        pending=pending,
+        slips=jnp.asarray(False),
+    )
+
+
+def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
+    """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium."""
+    begins, before = march.task == Task.flow, march.pending
+    u = march.flow.u + march.direction * march.flow.beyond
+    at = evaluate(problem, march.flow.start, march.point.u, before.before)
+    pose = problem.rest + problem.displacement(at.load)
+    shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
+    rods = flow(problem, u, rods_of(problem, shafts, at.load), begins)
+    landing = landing_of(problem, u, rods)
+    each = of_whiskers(problem, (before.before.touches, landing.state.touches))
+    freed = jnp.any(each[0], axis=1) & ~jnp.any(each[1], axis=1)
+    kind = jnp.where(jnp.any(freed), int(EventKind.snap_off), int(EventKind.snap_through))
+    first = jnp.arange(problem.rows) % problem.contacts == 0
+    whiskers = first & jnp.repeat(jnp.where(jnp.any(freed), freed, jnp.any(each[0], axis=1)), problem.contacts)
+    landed = march.replace(
+        task=jnp.asarray(int(Task.arrive)),
+        state=landing.state,
+        point=Point(landing.z, u),
+        target=march.target._replace(number=jnp.asarray(SNAP), whiskers=jnp.zeros(problem.rows, bool)),
+        pending=before._replace(state=landing.state, kind=kind, whiskers=whiskers),
+    )
+    new = first_case(
+        (landing.too_many, march.stopped(Status.too_many_contacts)),
+        (~landing.settled, flow_again(march)),
+        otherwise=landed,
+    )
+    return new, jnp.asarray(False), march.pending
+
+
+def revised_landing(
+    problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain
+) -> tuple[MarchOfChain, Bool[Array, ""]]:
+    """Contacts in which whiskers may rest instead of those that pull, or have the wrong phase, or are missing."""
+    state, z = march.state, trial.point.z
+    margins = margins_of(problem, march, z, trial.point.u, trial.stance, trial.point.u + march.direction)
+    pulls, other = margins[RELEASE] < -MARGIN_NOISE, margins[PHASE] < -MARGIN_NOISE
+    deep = jnp.ravel(trial.stance.gap) < -DEEP
+    new = new_contact(problem, march, z, trial.candidates, jnp.argmin(jnp.ravel(trial.stance.gap)))
+    first_pull = pulls & (jnp.cumsum(pulls) == 1)
+    less = removed(z, state, first_pull, problem.contacts)
+    tip = state.phase == Phase.tip
+    phase = jnp.where(other, jnp.where(tip, int(Phase.tangential), int(Phase.tip)), state.phase)
+    turned = z.at[:, SLACK].set(jnp.where(other, 0.0, z[:, SLACK])), state._replace(phase=phase)
+    more = inserted(z, state, new, problem.contacts)
+    full = is_full(problem, march, new.row)
+    z, state = first_case((jnp.any(pulls), less), (jnp.any(other), turned), otherwise=more)
+    flow_ = march.flow._replace(tries=march.flow.tries + 1)
+    revised = march.replace(point=march.point._replace(z=z), state=state, flow=flow_)
+    only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other)
+    revised = select(only_deep & full, march.stopped(Status.too_many_contacts), revised)
+    return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep)
+
+
+def flow_again(march: MarchOfChain) -> MarchOfChain:
+    """The state in which rods flow at a control further behind the loss, or the march ends."""
+    farther = march.flow.beyond < BEYOND[-1]
+    before, beyond = march.pending, jnp.asarray(BEYOND)
+    beyond = beyond[jnp.minimum(jnp.sum(beyond <= march.flow.beyond), len(BEYOND) - 1)]
+    flowing = march.replace(
+        task=jnp.asarray(int(Task.flow)),
+        point=Point(before.z_before, march.flow.u),
+        state=before.before,
+        flow=march.flow._replace(beyond=beyond, tries=jnp.asarray(0)),
+    )
+    return select(farther, flowing, march.stopped(Status.unsettled))
+
+
+def state_differs(one: ChainState, other: ChainState) -> Bool[Array, ""]:
+    """Whether contacts touch in another way."""
+    return jnp.any((one.phase != other.phase) | (one.piece != other.piece))

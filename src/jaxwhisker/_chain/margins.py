@@ -1,0 +1,116 @@
+"""Margins of whiskers with several contacts, and the contacts that begin where one vanishes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.gaps import Candidate
+from jaxwhisker._chain.march_state import (
+    AT_STOP,
+    HIGH,
+    LOW,
+    TOUCH,
+    ChainStance,
+    MarchOfChain,
+    NewContact,
+    TrialOfChain,
+    removed,
+)
+from jaxwhisker._chain.newton import of_whiskers
+from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
+from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path.march_state import Target, Task
+from jaxwhisker._path.margins import FAR, Ignored, Margins, first_crossed
+
+MARGIN_NOISE = 1e-11
+TOUCHING = 2e-9  # depth of a shaft that counts as a touch: one that has just been released is at 0
+
+
+def margins_of(
+    problem: ChainProblem, march: MarchOfChain, z: Array, u: Scalar, stance: ChainStance, stop: Scalar
+) -> Margins:
+    """Margins of all kinds of events."""
+    state = march.state
+    free, tip = state.phase == Phase.free, state.phase == Phase.tip
+    outermost = jnp.arange(z.shape[0]) % problem.contacts == 0
+    touch = stance.gap + TOUCHING
+    release = jnp.where(free, FAR, z[:, FORCE])
+    slack = z[:, SLACK]
+    changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
+    changes = jnp.where(outermost & ~free, changes, FAR)
+    (low, high), p = piece_ends(problem, march), z[:, PARAMETER]
+    below, above = jnp.where(free, FAR, p - low), jnp.where(free, FAR, high - p)
+    return touch, release, changes, below, above, jnp.reshape(march.direction * (stop - u), 1)
+
+
+def piece_ends(problem: ChainProblem, march: MarchOfChain) -> tuple[Array, Array]:
+    """Parameters at which the pieces of all contacts begin and end."""
+    profile = problem.profile
+    return profile.ends_on(jnp.where(march.state.touches, march.state.piece, 0))
+
+
+def margin_rates(problem: ChainProblem, march: MarchOfChain, tangent: Point) -> Margins:
+    """Rates of the margins along the path, those of forces and slacks of contacts only."""
+    state, slack = march.state, tangent.z[:, SLACK]
+    free, tip = state.phase == Phase.free, state.phase == Phase.tip
+    backwards = march.point.z[:, SLACK] < -np.pi / 2
+    slack = jnp.where(tip & ~backwards, -slack, slack)
+    outermost = jnp.arange(slack.size) % problem.contacts == 0
+    still = jnp.zeros_like(march.stance.gap)
+    force = jnp.where(free, 0.0, tangent.z[:, FORCE])
+    along = jnp.where(free, 0.0, tangent.z[:, PARAMETER])
+    return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, jnp.zeros(1)
+
+
+def first_violated(
+    problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain, distance: Scalar, ignored: Ignored | None = None
+):
+    """Whether an event lies within a step of this length, and the first such event."""
+    here = margins_of(problem, march, march.point.z, march.point.u, march.stance, trial.stop)
+    z = z_before(problem, march, trial)
+    there = margins_of(problem, march, z, trial.point.u, trial.stance, trial.stop)
+    crossed = first_crossed(here, there, MARGIN_NOISE, problem.rows, (TOUCH, AT_STOP), ignored)
+    new = new_contact(problem, march, z, trial.candidates, jnp.minimum(crossed.entry, here[0].size - 1))
+    touches = crossed.number == TOUCH
+    rows = jnp.where(touches, jnp.arange(problem.rows) == new.row, crossed.whiskers)
+    limit = jnp.where((march.state.phase == Phase.tip) & (z[:, SLACK] < -np.pi / 2), -np.pi, 0.0)
+    low, high = piece_ends(problem, march)
+    limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
+    return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
+
+
+def new_contact(
+    problem: ChainProblem, march: MarchOfChain, z: Array, candidates: Candidate, entry: Array
+) -> NewContact:
+    """The contact of a candidate, by its number among those of all whiskers."""
+    count = candidates.gap.shape[1]
+    own = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[2:]))[entry], candidates)
+    whisker = entry // count
+    phase, slack = (values[whisker] for values in of_whiskers(problem, (march.state.phase, z[:, SLACK])))
+    beyond = jnp.where(phase == Phase.tip, 0.0, slack)
+    new = jnp.where(own.phase == Phase.tip, 0.0, own.numbers[SLACK])
+    place = jnp.sum((phase != Phase.free) & (beyond < new))
+    # A contact at the tip comes first.
+    place = jnp.where(own.phase == Phase.tip, 0, place)
+    row = whisker * problem.contacts + jnp.minimum(place, problem.contacts - 1)
+    return NewContact(row, own.numbers, own.phase, own.side, own.piece)
+
+
+def is_full(problem: ChainProblem, march: MarchOfChain, row: Array) -> Bool[Array, ""]:
+    """Whether the whisker of a row has no room for another contact."""
+    touching = jnp.sum(of_whiskers(problem, march.state.touches), axis=1)
+    return touching[row // problem.contacts] == problem.contacts
+
+
+def begins_at(march: MarchOfChain) -> Bool[Array, ""]:
+    """Whether the march solves for a point at which a contact begins."""
+    return (march.task == Task.event) & (march.target.number == TOUCH)
+
+
+def z_before(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> Array:
+    """Contacts on arrival at the end of a step: without one that begins there."""
+    rows = (jnp.arange(problem.rows) == march.target.first.row) & begins_at(march)
+    return removed(trial.point.z, trial.state, rows, problem.contacts)[0]

@@ -1,0 +1,90 @@
+"""The solved end of a step, and what it is like there."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.march_state import HIGH, LOW, PHASE, RELEASE, TOUCH, MarchOfChain, TrialOfChain, inserted
+from jaxwhisker._chain.newton import ChainSolution, of_whiskers, solve_points
+from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.shaft import BaseAt, point_at
+from jaxwhisker._chain.stance import bases_of, stance_of
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, of_each
+from jaxwhisker._equilibrium.point import PathCondition, along, at_arc_length, dot, scale_of, unit
+from jaxwhisker._path.march_state import Task
+from jaxwhisker._path.path import select
+
+RATE_NOISE = 1e-9
+
+
+def solved_trial(
+    problem: ChainProblem, march: MarchOfChain, stops: Float[Array, " stops"], last: Int[Array, ""]
+) -> TrialOfChain:
+    """Predict and solve for the end of a step."""
+    stop, target = stops[jnp.minimum(march.goal, last)], march.target
+    locating = march.task == Task.event
+    begins = locating & (target.number == TOUCH)
+    distance = jnp.where(locating, target.distance, march.step)
+    moves = (march.task == Task.advance) | locating
+    guess = select(moves, along(march.point, march.tangent, distance, march.bend), march.point)
+    more = inserted(guess.z, march.state, target.first, problem.contacts)
+    z, state = select(begins, more, (guess.z, march.state))
+    guess = guess._replace(z=z)
+    solution = solve_points(problem, state, condition_of(march, stop), guess)
+    point, newton = solution.point, solution.newton
+    tangent, length = unit(newton.tangent, point.z)
+    stance, candidates = stance_of(problem, point.u, newton.pose, point.z, state)
+    ahead = dot(tangent, march.tangent, scale_of(march.point.z))
+    forwards = jnp.where(locating & (ahead < 0), -1.0, 1.0)
+    stable = begins | (march.direction * forwards * tangent.u > 0)
+    onwards = gap_grows(problem, march, solution, jnp.sign(tangent.u) * march.direction / length)
+    arrives = (onwards | (target.number != RELEASE)) & ~march.slips
+    stable = jnp.where(march.task == Task.arrive, arrives, stable)
+    return TrialOfChain(solution, tangent, stance, candidates, guess, state, stop, jnp.asarray(last), stable)
+
+
+def condition_of(march: MarchOfChain, stop: Scalar) -> PathCondition:
+    """The equation of the task."""
+    target, none = march.target, jnp.zeros_like(march.point.z)
+    locating = march.task == Task.event
+    assert target.limit is not None
+    of_force = (target.number == TOUCH) | ((target.number == RELEASE) & locating)
+    of_slack, of_parameter = target.number == PHASE, (target.number == LOW) | (target.number == HIGH)
+    rows = jnp.where(target.number == TOUCH, jnp.arange(none.shape[0]) == target.first.row, target.whiskers)
+    by_control = ~of_force & ~of_slack & ~of_parameter
+    weight = none.at[:, FORCE].set(rows * of_force).at[:, SLACK].set(rows * of_slack)
+    weight = weight.at[:, PARAMETER].set(rows * of_parameter)
+    z0 = none.at[:, SLACK].set(jnp.where(of_slack & locating, target.limit, 0.0))
+    z0 = z0.at[:, PARAMETER].set(jnp.where(of_parameter & rows.astype(bool), target.limit, 0.0))
+    u = jnp.where(locating, stop, march.point.u)
+    at_event = PathCondition(weight, z0, by_control.astype(float), u, none[:, 0])
+    ahead = at_arc_length(march.point, march.tangent, march.step)
+    return select(march.task != Task.advance, at_event, ahead)
+
+
+def gap_grows(problem: ChainProblem, march: MarchOfChain, solution: ChainSolution, sign: Scalar) -> Bool[Array, ""]:
+    """Whether the contact that has just been released opens as the drive moves on."""
+    node, row = march.pending, jnp.argmax(march.target.whiskers)
+    whisker = row // problem.contacts
+    slack = jnp.where(node.before.phase[row] == Phase.tip, 0.0, node.z_before[row, SLACK])
+    at = problem.profile.point_on(node.before.piece[row], node.z_before[row, 1])
+    newton = solution.newton
+
+    def position(z, u, pose):
+        own = of_whiskers(problem, (z, march.state))
+        bases = bases_of(problem, u, pose)
+        beyond = jnp.full_like(problem.length, slack)
+        places = of_each(
+            problem.bodies(u),
+            lambda body, z, state, x, y, cos, sin, b: point_at(body, z, state, BaseAt(x, y, cos, sin), b),
+            *own,
+            *bases,
+            beyond,
+        )
+        return places[whisker]
+
+    point, tangent = solution.point, newton.tangent
+    rates = sign * tangent.z, sign * jnp.asarray(tangent.u), sign * newton.tangent_pose
+    _, moved = jax.jvp(position, (point.z, jnp.asarray(point.u), newton.pose), rates)
+    return moved[0] * at.sin - moved[1] * at.cos > -RATE_NOISE
