@@ -6,7 +6,7 @@ this, or compilation, stay in force for the caller's own code. (As plain Python,
 
 import functools
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Any, TypeVar
 
 import jax
@@ -33,15 +33,19 @@ def _chosen(name: str) -> Any:
 def own_settings(arguments: Any = None) -> Iterator[None]:
     """Compute with the settings that the package needs, on the device on which the arguments are."""
     with ExitStack() as stack:
-        there = _other_device(arguments)
-        if there is not None:
-            stack.enter_context(jax.default_device(there))
-        for name, value in NEEDED.items():
-            if _chosen(f"jax_{name}") != value:
-                stack.enter_context(getattr(jax, name)(value))
-        if any(_chosen(name) not in (None, "allow") for name in GUARDS):
-            stack.enter_context(jax.transfer_guard("allow"))
+        for context in _changes(arguments):
+            stack.enter_context(context)
         yield
+
+
+def _changes(arguments: Any) -> list[AbstractContextManager]:
+    """What changes the caller's settings to those that the package needs; mostly nothing."""
+    there = _other_device(arguments)
+    changes = [] if there is None else [jax.default_device(there)]
+    changes += [getattr(jax, name)(value) for name, value in NEEDED.items() if _chosen(f"jax_{name}") != value]
+    if any(_chosen(name) not in (None, "allow") for name in GUARDS):
+        changes.append(jax.transfer_guard("allow"))
+    return changes
 
 
 def device() -> Any:
@@ -67,7 +71,12 @@ def with_own_settings(function: Function) -> Function:
 
     @functools.wraps(function)
     def run(*args, **kwargs):
-        with own_settings((args, kwargs)):
+        changes = _changes((args, kwargs))
+        if not changes:  # entering nothing would take 3 us
+            return function(*args, **kwargs)
+        with ExitStack() as stack:
+            for context in changes:
+                stack.enter_context(context)
             return function(*args, **kwargs)
 
     return run  # pyright: ignore[reportReturnType]

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.linear_algebra import sign_of_determinant, solve
+from jaxwhisker._base.one_kernel import in_one_kernel
 from jaxwhisker._base.program import COMPILER_OPTIONS
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Control, Scalar
@@ -86,7 +87,7 @@ class MeasurementModel:
             raise ValueError(f"`names` must be names of parameters, got {names!r}.")
         checks.arguments("names", build, self.names)
         # Jit starts a program in a third of the time that a Program takes. Options do not work below another jit.
-        self._alone = jax.jit(self._measured, compiler_options=COMPILER_OPTIONS)
+        self._alone = jax.jit(in_one_kernel(self._measured), compiler_options=COMPILER_OPTIONS)
         self._within = jax.jit(self._measured)
 
     @with_own_settings
@@ -138,15 +139,16 @@ class MeasurementModel:
 
     def _measured(self, parameters: Any, control: Scalar, contact: ContactUnknowns) -> Measurement:
         x = jnp.asarray(parameters, dtype=float)
-        problem = problem_in_space(self._scene(x))
-        _, push = jax.linearize(lambda x: _numbers(problem_in_space(self._scene(x))), x)
-        by_parameter = jax.vmap(push, out_axes=-1)(jnp.eye(x.size))
+
+        def problem_at(x):
+            return problem_in_space(self._scene(x))
+
+        def along(dot):
+            return eqx.filter_jvp(problem_at, (x,), (dot,))[1]
+
+        problem, by_parameter = problem_at(x), jax.vmap(along, out_axes=-1)(jnp.eye(x.size))
         u = jnp.asarray(control, dtype=float) / problem.unit.control
-        return _solved(problem, by_parameter, u, contact)
-
-
-def _numbers(problem: SpaceProblem) -> SpaceProblem:
-    return eqx.filter(problem, eqx.is_inexact_array)
+        return _solved(problem, by_parameter, x.size, u, contact)
 
 
 class _Iteration(NamedTuple):
@@ -158,9 +160,11 @@ class _Iteration(NamedTuple):
     jacobian: Float[Array, "whiskers 6 parameters"]
 
 
-def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contact: ContactUnknowns) -> Measurement:
+def _solved(
+    problem: SpaceProblem, by_parameter: SpaceProblem, parameters: int, u: Scalar, contact: ContactUnknowns
+) -> Measurement:
+    """The solution near a contact; `by_parameter` are derivatives, None of numbers that no parameter changes."""
     n = contact.z.shape[0]
-    parameters = jax.tree.leaves(by_parameter)[0].shape[-1]
 
     def goes_on(at: _Iteration):
         return (at.size >= LAST) & (at.steps < STEPS)
@@ -193,7 +197,9 @@ def _solved(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, contac
 def _newton(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, last: _Iteration, phase: Phases):
     """A Newton step, with signals and derivatives after it."""
     z, surface, touching = last.z, problem.surface, phase != Phase.free
-    numbers, static = eqx.partition(problem, eqx.is_inexact_array)
+    # A tangent that is zero, but an array, would cost as much as any other: of the rod, half of the time.
+    varies = jax.tree.map(lambda leaf: leaf is not None, by_parameter, is_leaf=lambda leaf: leaf is None)
+    numbers, constant = eqx.partition(problem, varies)
     frames = jax.vmap(lambda z: frame_of(surface, z))(z)
     curvature = jax.vmap(lambda z: surface.curvature(z[POINT]))(z)
 
@@ -205,7 +211,7 @@ def _newton(problem: SpaceProblem, by_parameter: SpaceProblem, u: Scalar, last: 
     count = n * rows
 
     def equations(z, numbers):
-        problem = eqx.combine(numbers, static)
+        problem = eqx.combine(numbers, constant)
         drive, held = problem.drive(u), jax.lax.stop_gradient(z)
 
         def one(body, z, held, phase, frame, curvature):
