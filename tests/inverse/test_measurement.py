@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._rod import space_end
 
 EXACT = 1e-9  # both are solved to 1e-10
 SLOPES = 1e-6  # relative; central differences of scans, with a step of 1e-4
@@ -58,6 +59,36 @@ def test_signals_and_derivatives_are_those_of_scans(build):
     expected = [(scanned(build, moved + h) - scanned(build, moved - h)) / 2e-4 for h in steps]
     size = np.max(np.abs(expected))
     np.testing.assert_allclose(found.jacobian, np.stack(expected, axis=-1), atol=SLOPES * size)
+
+
+def test_derivatives_by_the_whisker_and_by_nothing():
+    """Rods are differentiated if a parameter changes them; what no parameter changes has no tangents."""
+
+    def hair(curvature, unused):
+        del unused
+        return jw.SpaceScene(jw.Whisker(intrinsic_curvature=curvature), jw.Sphere(0.3, (0.0, 1.1, 0.1)))
+
+    own, at = jw.MeasurementModel(hair, ("curvature", "unused")), np.array([-0.1, 3.0])
+    found = own(at, CONTROL[-1], own.contact(at, CONTROL))
+    step = np.array([1e-4, 0.0])
+    expected = (scanned(hair, at + step) - scanned(hair, at - step)) / 2e-4
+    np.testing.assert_allclose(found.jacobian[..., 0], expected, atol=SLOPES * np.max(np.abs(expected)))
+    assert np.all(found.jacobian[..., 1] == 0)
+    idle = jw.MeasurementModel(lambda unused: hair(-0.1, unused), ("unused",))
+    assert np.all(idle([3.0], CONTROL[-1], own.contact(at, CONTROL)).jacobian == 0)
+
+
+def test_rods_that_no_parameter_changes_are_integrated_once(monkeypatch, contact):
+    calls, end = [], space_end._end
+    monkeypatch.setattr(space_end, "_end", lambda *args: calls.append(args) or end(*args))
+
+    def hair(x, curvature=-0.1):
+        return jw.SpaceScene(jw.Whisker(intrinsic_curvature=curvature), jw.Sphere(0.3, (x, 1.1, 0.1)))
+
+    jax.make_jaxpr(jw.MeasurementModel(hair, ("x",))._measured)(np.zeros(1), 0.2, contact)
+    assert not calls
+    jax.make_jaxpr(jw.MeasurementModel(hair, ("x", "curvature"))._measured)(np.zeros(2), 0.2, contact)
+    assert calls
 
 
 def test_the_drive_may_move(model, contact):
