@@ -22,8 +22,8 @@ from jaxwhisker._model.polygon_chain import PolygonChain
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
 FAR = jnp.inf
-TABLE = 96  # points of an object from which the nearest one is looked for
-NEAREST_STEPS = 3
+TABLE = 72  # points of an object from which the nearest one is looked for
+NEAREST_STEPS = 2
 ENDS = 2e-4  # share of an outline that is left out at both ends
 LOWEST_STEPS = 4
 BIAS = 2e-10  # lengths by which gaps are changed to decide between corners, and between a corner and the tip

@@ -4,6 +4,7 @@ Coarse rods flow at a control a little behind the loss (rod_flow.py). The contac
 for exactly, there and at the loss itself; contacts that pull, have the wrong phase or are missing are exchanged.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -12,10 +13,11 @@ from jaxwhisker._chain.march_state import PHASE, RELEASE, SNAP, ChainFlow, March
 from jaxwhisker._chain.margins import MARGIN_NOISE, is_full, margins_of, new_contact
 from jaxwhisker._chain.newton import evaluate, of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
-from jaxwhisker._chain.rod_flow import flow, landing_of, rods_of
+from jaxwhisker._chain.rod_flow import Landing, flow, landing_of, rods_of
 from jaxwhisker._chain.stance import shafts_of
 from jaxwhisker._equilibrium.contact import SLACK, Phase
 from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Status, first_case, select
 
@@ -42,11 +44,15 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
     """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium."""
     begins, before = march.task == Task.flow, march.pending
     u = march.flow.u + march.direction * march.flow.beyond
-    at = evaluate(problem, march.flow.start, march.point.u, before.before)
-    pose = problem.rest + problem.displacement(at.load)
-    shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
-    rods = flow(problem, u, rods_of(problem, shafts, at.load), begins)
-    landing = landing_of(problem, u, rods)
+
+    def landed_in() -> Landing:
+        at = evaluate(problem, march.flow.start, march.point.u, before.before)
+        pose = problem.rest + problem.displacement(at.load)
+        shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
+        return landing_of(problem, u, flow(problem, u, rods_of(problem, shafts, at.load), begins))
+
+    nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))
+    landing = jax.lax.cond(any_lane(begins), landed_in, lambda: nowhere)
     each = of_whiskers(problem, (before.before.touches, landing.state.touches))
     freed = jnp.any(each[0], axis=1) & ~jnp.any(each[1], axis=1)
     kind = jnp.where(jnp.any(freed), int(EventKind.snap_off), int(EventKind.snap_through))

@@ -58,19 +58,19 @@ def _iterate(mechanics: Continuation, stops: Float[Array, " stops"], last: Int[A
 
 
 @jax.custom_batching.custom_vmap
-def _any_lane(goes_on: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Whether a march goes on, or under `vmap` any of them.
+def any_lane(holds: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Whether a condition holds, or under `vmap` whether it holds in any lane.
 
-    All of them iterate as long as one does: with a condition of its own for each, all nodes would be copied again and
-    again. A march that is done writes nothing.
+    With a condition of its own for each lane, a loop copies all of its values again and again, and of two branches both
+    are computed in every lane.
     """
-    return goes_on
+    return holds
 
 
-@_any_lane.def_vmap
-def _(size, batched, goes_on):
+@any_lane.def_vmap
+def _(size, batched, holds):
     del size, batched
-    return _any_lane(jnp.any(goes_on)), False
+    return any_lane(jnp.any(holds)), False
 
 
 def follow(
@@ -115,7 +115,8 @@ def march(
         # The second condition is never the first to fail. Without it, XLA takes the task for a counter and analyses the
         # body again and again to count the iterations, which makes compilation 40 % longer.
         now, _, used = carry
-        return _any_lane((now.task != Task.done) & (used <= most))
+        # All marches of a batch iterate as long as one does; one that is done writes nothing.
+        return any_lane((now.task != Task.done) & (used <= most))
 
     def chunk(carry):
         now, table, used = carry
