@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker._explore.hosts import _asset, served
 from jaxwhisker._explore.session import Session
 from jaxwhisker._explore.space_picture import VIEWS, picture_in_space
@@ -576,3 +577,19 @@ def test_dragging_in_jupyterlab_draws_another_scene(driver, lab, tmp_path):
     assert all(one != other for one, other in zip(before, pixels(driver), strict=True))
     check_numbers(driver)
     assert driver.save_screenshot(str(tmp_path / "lab.png"))
+
+
+def test_all_contacts_of_a_whisker_are_shown(driver):
+    with served(Session(several.circles, {"distance": (0.2, 0.3, 0.25)})) as url:
+        driver.get(url)
+        settle(driver)
+        share = 0.42
+        set_slider(driver, "drive", share)
+        time.sleep(0.2)
+        phase, *_, arcs = numbers(driver)
+        u = value(driver, "drive")
+    assert phase == "tangential, tangential"
+    result = jw.scan(several.circles(), np.array([0.3, u]))
+    exact = np.asarray(result.contact_arc[1, 0])
+    np.testing.assert_allclose([float(arc) for arc in arcs.split(", ")], exact, atol=10 * SHOWN)
+    assert [entry["message"] for entry in driver.get_log("browser")] == []

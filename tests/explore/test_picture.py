@@ -10,9 +10,18 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker._base import checks
 from jaxwhisker._explore.code import code_of
-from jaxwhisker._explore.picture import SCAN_STEPS, packed_error, packed_picture, picture_of, picture_of_motion
+from jaxwhisker._explore.picture import (
+    OUTLINE_POINTS,
+    SCAN_STEPS,
+    _closed,
+    packed_error,
+    packed_picture,
+    picture_of,
+    picture_of_motion,
+)
 from pictured import LENGTH, STIFFNESS, failed_motion, swept, unpacked
 
 SAME = 1e-9  # of the peak: the path depends slightly on the end of its control, the states do not
@@ -195,3 +204,21 @@ def test_errors_have_a_message_and_no_arrays():
     )
     header, _ = unpacked(packed_error(ZeroDivisionError("x " * 1000)))
     assert header["error"].startswith("ZeroDivisionError: x x") and len(header["error"]) < 600
+
+
+def test_all_contacts_are_sent():
+    scene = several.circles()
+    header, arrays = unpacked(packed_picture(picture(scene), scene, code_of(scene)))
+    assert arrays["contact_force"].shape == arrays["phase"].shape == (SCAN_STEPS, 1, 2)
+    assert arrays["fx"].shape == (SCAN_STEPS, 1)
+    assert [event["text"].partition("  ")[2] for event in header["events"]] == list(several.EVENTS)
+
+
+def test_outlines_of_concave_objects_are_closed_behind_them():
+    objects = jw.Graph(several.wavy), jw.Parabola(0.2)
+    x = np.linspace(-3.0, 3.0, OUTLINE_POINTS)
+    wave, parabola = (np.stack([x, y], axis=1) for y in (np.asarray(several.wavy(x)), 0.2 + x**2))
+    closed = _closed(np.concatenate([wave, [(np.nan, np.nan)], parabola]), objects)
+    assert len(closed) == 2 * OUTLINE_POINTS + 3
+    np.testing.assert_allclose(closed[OUTLINE_POINTS : OUTLINE_POINTS + 2, 1], 0.4, atol=1e-3)
+    np.testing.assert_array_equal(closed[-OUTLINE_POINTS:], parabola)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker.film.canvas import Canvas, event_in_words
 from jaxwhisker.film.frames import SNAP_FRAMES, frames
 from jaxwhisker.plot.drawing import drawing_at
@@ -120,3 +121,16 @@ def test_events_are_described_in_words(stiff):
     assert event_in_words(event) == "touch of whisker 1"
     off = event._replace(kind=jw.EventKind.snap_off, whiskers=(1, 2, 3))
     assert event_in_words(off) == "snap-off of whiskers 1, 2 and 3"
+
+
+def test_rings_mark_the_contact_that_an_event_concerns():
+    result = several.scanned()
+    shown, marks = frames(result, 20)
+    canvas = Canvas(result, shown, marks, fps=10, width=160)
+    first, event, _ = marks[1]
+    canvas.image(first)
+    assert canvas.captions.words[-1] == event_in_words(event) == "touch of whisker 1 with object 2 at contact 2"
+    slot = len(canvas.captions.words) - 2
+    ((ring,),) = (ring.artists for ring in canvas.captions._rings[slot])
+    np.testing.assert_allclose(ring.get_xydata(), [[event.after.contact_x[0, 1], event.after.contact_y[0, 1]]])
+    assert ring.get_visible() and len(canvas.stage._arrows) == 2

@@ -1,13 +1,16 @@
 """Frames of a film: the steps of a scan, and the snaps between them."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
+import several
 from jaxwhisker._scan.shapes import Shapes, shapes_of
 from jaxwhisker.film.flow import flows
-from jaxwhisker.film.frames import DEEPEST, SNAP_FRAMES, Silhouette, between, frames, silhouettes_of_scan
+from jaxwhisker.film.frames import DEEPEST, SNAP_FRAMES, Silhouette, _mixed, between, frames, silhouettes_of_scan
 from pictured import FILM_STEPS, ends_moved, row, snaps
 
 CHORDS = 1e-4  # relative: a polyline of 64 points is shorter than the bent whisker
@@ -121,3 +124,38 @@ def test_a_line_that_would_enter_the_object_is_curled_around_it(stiff):
     assert parabola.depth(straight.x[0], straight.y[0]) > 10 * DEEPEST
     assert parabola.depth(curled.x[0], curled.y[0]) < DEEPEST
     np.testing.assert_allclose(lengths(curled), 1.0, rtol=ROUNDING)
+
+
+def test_a_snap_from_several_contacts_turns_the_whisker_past_all_objects():
+    result = several.scanned()
+    shown, marks = frames(result, 20)
+    ((first, event),) = starts(marks)
+    assert shown.snap.sum() == SNAP_FRAMES and shown.state.phase.shape == (20 + SNAP_FRAMES, 1, 2)
+    np.testing.assert_array_equal(shown.state.contact_force[first], event.before.contact_force)
+    assert not np.asarray(shown.state.phase)[first + 1 : first + SNAP_FRAMES].any()
+    np.testing.assert_allclose(lengths(shown.lines), 1.0, rtol=2 * CHORDS)
+    for silhouette in silhouettes_of_scan(result):
+        depths = [silhouette.depth(*line) for line in zip(shown.lines.x[:, 0], shown.lines.y[:, 0], strict=True)]
+        assert max(depths) < DEEPEST
+
+
+def test_contacts_between_two_states_stay_on_their_object():
+    event = several.scanned().events[3]
+    still = np.zeros(1, bool)
+    halfway = _mixed(event.before, event.after, 0.5, still)
+    # The outermost contact is on another object afterwards, and there is no second one.
+    assert not np.asarray(halfway.phase).any() and not np.asarray(halfway.contact_force).any()
+    assert float(halfway.fx[0]) == 0.0
+    same = _mixed(event.before, event.before, 0.5, still)
+    np.testing.assert_array_equal(same.contact_x, event.before.contact_x)
+    assert float(same.fx[0]) == event.before.fx[0]
+
+
+def test_depth_inside_a_concave_object():
+    scene = jw.Scene(jw.Whisker(), (jw.Graph(several.wavy), jw.Parabola(0.2)), contacts=2)
+    result = SimpleNamespace(scene=scene)
+    wave, parabola = silhouettes_of_scan(result)
+    assert not wave.convex and parabola.convex
+    hollow, hill = np.array([0.0]), np.array([-np.pi / 6])  # of heights 0.4 and 0.2
+    assert wave.depth(hollow, np.array([0.35])) == 0.0 and wave.depth(hill, np.array([0.15])) == 0.0
+    np.testing.assert_allclose(wave.depth(hill, np.array([0.23])), 0.03, atol=1e-3)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.silhouette import CONTOUR_POINTS, CUT_OFF, silhouette_of
+from jaxwhisker._model.silhouette import CONTOUR_POINTS, CUT_OFF, behind, silhouette_of
 
 ROUNDING = 1e-9  # of lengths: ends come from bisection
 SEMICIRCLE = jw.Graph(lambda x: 0.9 - jnp.sqrt(0.49 - x**2))
@@ -60,3 +60,13 @@ def test_objects_of_one_kind_share_a_program():
     programs = silhouette._silhouette.compilations
     silhouette_of(jw.Parabola(0.7, 3.0), 2.0)
     assert silhouette._silhouette.compilations == programs
+
+
+def test_a_contour_that_is_not_convex_is_closed_behind_it():
+    x, y = silhouette_of(jw.Parabola(0.2), 1.0)
+    assert behind(x, y).shape == (0, 2)
+    wave = np.stack([x, np.cos(6 * x) + x / 2], axis=1)
+    last, first = behind(*wave.T)
+    np.testing.assert_allclose(last - first, wave[-1] - wave[0], atol=ROUNDING)
+    inwards = np.array([wave[0, 1] - wave[-1, 1], wave[-1, 0] - wave[0, 0]])
+    np.testing.assert_allclose(np.max(wave @ inwards), first @ inwards, rtol=ROUNDING)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker.plot import drawing
 from pictured import CONTROL, MIDDLE
 
@@ -81,3 +82,24 @@ def test_a_scaled_drawing_keeps_angles_and_line_widths(turned):
         assert other.width == line.width
     assert twice.arrows[0].head == tuple(2 * value for value in one.arrows[0].head)
     np.testing.assert_array_equal(twice.extent()[1], 2 * one.extent()[1])
+
+
+def test_every_contact_has_an_arrow():
+    scanned, step = several.scanned(), several.BOTH[1]
+    both, one = (drawing.drawing_at(scanned, k).arrows for k in (step, 20))
+    for contact, arrow in enumerate(both):
+        np.testing.assert_allclose(
+            arrow.head, [scanned.contact_x[step, 0, contact], scanned.contact_y[step, 0, contact]]
+        )
+    force = np.asarray(scanned.contact_force[step, 0])
+    lengths = [np.hypot(*np.subtract(arrow.head, arrow.tail)) for arrow in both]
+    largest = np.max(scanned.contact_force)
+    np.testing.assert_allclose(lengths, drawing.arrow_length(force, largest))
+    assert len(both) == len(one) == 2 and one[1] is None
+
+
+def test_a_scan_with_several_contacts_starts_before_the_first_touch():
+    start = drawing.start_of(several.circles())
+    assert 0.2 + 0.9 * drawing.BEFORE_TOUCH < start < 0.2 + 2.1 * drawing.BEFORE_TOUCH
+    state = drawing.rest_state(several.circles(), start)
+    assert state.phase.shape == (1, 2) and state.fx.shape == (1,) and float(state.base_x[0]) == start

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 import jaxwhisker as jw
+import several
 from jaxwhisker import plot
 from jaxwhisker.plot import phase_strips
 from pictured import LENGTH, failed, of_steps
@@ -51,3 +52,15 @@ def test_strips_in_si_units_are_in_millimetres(result, result_in_si):
 def test_phases_differ_without_colour():
     looks = [phase_strips._bar(phase, plot.COLOURS[0]) for phase in jw.Phase]
     assert len({(look["facecolor"] == "white", look.get("hatch")) for look in looks}) == 3
+
+
+def test_every_contact_has_a_row():
+    result = several.scanned()
+    ax = plot.phases(result)
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["whisker 1, contact 1", "whisker 1, contact 2"]
+    touches = [event.control for event in result.events]
+    np.testing.assert_allclose(extents(ax, 1), [(touches[3], touches[1])], rtol=1e-12)
+    rows = {marker: [] for marker in ("o", "s", "X")}
+    for line in ax.get_lines():
+        rows[line.get_marker()].append(float(line.get_ydata()[0]))
+    assert rows == {"o": [1.0, 2.0], "s": [1.0], "X": [1.0]}

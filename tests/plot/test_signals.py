@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 
 import jaxwhisker as jw
+import several
 from jaxwhisker import plot
 from jaxwhisker.plot import signals
 from pictured import LENGTH, STIFFNESS, failed
@@ -180,3 +181,23 @@ def test_long_titles_of_overviews_are_broken_into_lines(result, monkeypatch):
     monkeypatch.setattr("jaxwhisker.plot.signals.LETTERS", 2)
     title = plot.overview(result).get_suptitle()
     assert title.split() == str(result.scene).split() and max(map(len, title.split("\n"))) <= 22
+
+
+def test_every_contact_has_a_curve():
+    result = several.scanned()
+    first, second = curves(plot.signal(result, "contact_force"))
+    assert [line.get_label() for line in (first, second)] == ["whisker 1, contact 1", "whisker 1, contact 2"]
+    assert (first.get_linestyle(), second.get_linestyle()) == ("-", "--")
+    np.testing.assert_array_equal(second.get_ydata(), result.contact_force[:, 0, 1])
+    _, inner = curves(plot.signal(result, "contact_x"))
+    np.testing.assert_array_equal(np.isfinite(inner.get_ydata()), np.asarray(result.phase)[:, 0, 1] > 0)
+    assert len(curves(plot.signal(result, "mz"))) == 1
+
+
+def test_all_contacts_are_compared():
+    result = several.scanned()
+    lines = plot.compare({"a": result, "b": several.with_one_contact(result)}, "contact_arc").get_lines()
+    assert [line.get_linestyle() for line in lines] == ["-", "--", "-"]
+    assert lines[0].get_color() == lines[1].get_color() != lines[2].get_color()
+    low, high = plot.contact_range([result])
+    assert low < -1.38 and 0.15 < high < 0.3

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker import plot
 from jaxwhisker.plot import drawing
 from pictured import LENGTH, MIDDLE, STIFFNESS
@@ -134,3 +135,24 @@ def test_deflections_have_the_units_of_the_whisker():
     plain = plot.deflection({"a": jw.deflect(jw.Whisker(), jw.PointForce(3.0))})
     assert plain.get_xlabel() == "$x/L$"
     np.testing.assert_allclose(plain.get_lines()[0].get_xydata()[-1], tips[1], rtol=SCANS)
+
+
+def test_all_contacts_are_shown():
+    scanned, step = several.scanned(), several.BOTH[1]
+    at = float(scanned.control[step])
+    assert plot.in_words(scanned, at) == "1: tangential and tangential"
+    assert plot.in_words(scanned, 0.3) == "1: free"
+    heads = [text.xy for text in plot.shapes(scanned, at).texts]
+    np.testing.assert_allclose(heads, np.stack([scanned.contact_x[step, 0], scanned.contact_y[step, 0]], axis=1))
+
+
+def test_a_concave_object_is_filled_up_to_its_highest_places():
+    ax = plot.profile(jw.Graph(several.wavy))
+    (filled,), outline = ax.patches, ax.get_lines()[0].get_xydata()
+    corners, above = filled.get_xy(), np.array([0.0, 1e-6])
+    below_top = outline[1:-1][outline[1:-1, 1] < 0.399]
+    assert filled.get_path().contains_points(below_top + above).all()
+    assert not filled.get_path().contains_points(outline - above).any()
+    assert corners[:, 1].max() == pytest.approx(0.4, abs=1e-3)
+    convex = plot.profile(jw.Parabola(0.2))
+    assert len(convex.patches[0].get_xy()) == 1 + len(convex.get_lines()[0].get_xydata())  # the first point again

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import several
 from jaxwhisker._scan import balance
 from scenes import all_ok, cone, follicle, model
 
@@ -222,3 +223,11 @@ def test_energies_are_unknown_from_the_first_failed_step_on():
 def test_a_result_is_required():
     with pytest.raises(ValueError, match="`result` must be the Result of a scan"):
         jw.energy_balance(model("FB"))  # pyright: ignore[reportArgumentType]
+
+
+def test_the_balance_of_whiskers_with_several_contacts():
+    result = several.scanned()
+    energies = jw.energy_balance(result)
+    largest = np.max(np.abs(energies.work))
+    np.testing.assert_allclose(energies.residual, 0.0, atol=BALANCE * largest)
+    assert float(energies.loss[-1]) > 0.1 * largest and float(energies.stored[-1]) == 0.0

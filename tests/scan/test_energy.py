@@ -10,6 +10,9 @@ from scipy.special import ellipeinc, ellipkinc
 
 import jaxwhisker as jw
 from scenes import all_ok, model
+from several import BOTH, circles, with_one_contact
+from several import CONTROL as SEVERAL
+from several import scanned as scanned_several
 
 EXACT = 1e-9  # relative to the largest energy: the accuracy of the states
 SLOPES = 1e-7  # relative to the largest: a rod in constant steps has no exact potential, and its error is amplified
@@ -195,3 +198,22 @@ def test_compliance_is_symmetric_for_dead_loads():
 def test_compliance_is_not_symmetric_for_follower_loads():
     matrix = _compliance(follower=True)
     assert abs(matrix[0, 1] / matrix[1, 0] - 1) > 1e-2
+
+
+def test_a_whisker_with_one_of_several_contacts_has_the_energy_of_one_contact():
+    result = scanned_several()
+    energy, single = (jw.stored_energy(one.scene, one) for one in (result, with_one_contact(result)))
+    one = np.asarray(result.phase)[:, 0, 1] == jw.Phase.free
+    np.testing.assert_allclose(energy[one], single[one], atol=EXACT * np.max(energy))
+    assert np.max(np.abs(np.asarray(energy - single)[BOTH])) > 0.01
+
+
+def test_derivatives_of_the_energy_with_several_contacts_are_those_of_differences():
+    def energy(distance):
+        scene = circles(distance)
+        return jw.stored_energy(scene, jw.scan(scene, SEVERAL))[BOTH]
+
+    step = 1e-5
+    differences = (energy(0.25 + step) - energy(0.25 - step)) / (2 * step)
+    slopes = jax.jvp(energy, (0.25,), (1.0,))[1]
+    np.testing.assert_allclose(slopes, differences, rtol=1e-6)

@@ -14,6 +14,7 @@ from jaxwhisker._inverse.observations import read_observations
 from jaxwhisker._scan.quantities import REACTIONS
 from pictured import summarised, swept
 from scenes import model
+from several import scanned
 
 CONTROL = np.linspace(0.72, -1.62, 118)
 PARSED = 1e-15  # relative: the default parser of pandas 2 is sometimes off by one in the last digit
@@ -200,3 +201,19 @@ def test_a_batch_is_rejected(export, result, tmp_path, monkeypatch):
 def test_an_argument_that_is_not_a_result_is_rejected(export):
     with pytest.raises(ValueError, match="`result` must be the Result of a scan, got 3"):
         export(3)
+
+
+def test_columns_of_several_contacts_have_two_numbers(tmp_path):
+    result = scanned()
+    table = jw.to_dataframe(result)
+    assert {"fx_1", "contact_force_1_1", "contact_force_1_2", "contact_object_1_2", "phase_1_2"} <= set(table)
+    assert not {"contact_force_1", "phase_1"} & set(table)
+    for contact in (1, 2):
+        np.testing.assert_array_equal(table[f"contact_x_1_{contact}"], result.contact_x[:, 0, contact - 1])
+        np.testing.assert_array_equal(table[f"phase_1_{contact}"], result.phase[:, 0, contact - 1])
+    assert table.attrs["units"]["contact_force_1_2"] == "EI/L^2"
+    assert_same(read_observations(table), result)
+    jw.to_csv(result, tmp_path / "scan.csv")
+    assert list(pd.read_csv(tmp_path / "scan.csv", comment="#")) == list(table)
+    of_dataset = jw.to_dataframe(result.to_xarray())
+    np.testing.assert_array_equal(of_dataset.contact_arc_1_2, result.contact_arc[:, 0, 1])

@@ -11,6 +11,7 @@ import jaxwhisker as jw
 from handmade import SI, handmade_scan
 from jaxwhisker._dynamics.simulation import TimedEvents
 from jaxwhisker._scan import report
+from several import scanned
 
 DIMENSIONLESS = 1.0, 1.0
 
@@ -92,3 +93,11 @@ def test_events_of_a_motion_have_times_with_units():
         header, _, row, missing = report.timed_event_table(motion, units).splitlines()
         assert header.split() == [*heading, "event", "whisker"] and row.split() == [*expected, "touch", "1"]
         assert missing == "Only 1 of 70 events fit into the result, the first and the last."
+
+
+def test_events_of_several_contacts_name_contact_and_object():
+    header, _, *rows = report.event_table(scanned()).splitlines()
+    assert header.split()[2:5] == ["event", "whisker", "contact"]
+    assert [row.split()[1:5] for row in rows[1:3]] == [["touch", "1", "2", "2"], ["tangential_to_tip", "1", "1", "1"]]
+    snaps = [row.split()[1:6] for row in rows[-2:]]
+    assert snaps == [["snap_off", "1", "-", "-", when] for when in ("before", "after")]

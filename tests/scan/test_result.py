@@ -1,5 +1,6 @@
 """Results and events, built by hand: selection, printing, batches."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -10,6 +11,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._scan.result import Event, Events, Result, check_one_scan
 from jaxwhisker._scan.state import OPTIONAL, State
+from several import EVENTS, scanned
 
 ROOM = 4  # for events
 SCENE = jw.Scene(jw.Whisker(), jw.Parabola(0.2), jw.Support.fbfb(70.0))
@@ -117,3 +119,29 @@ def test_one_scan_is_no_batch_and_no_stranger():
         len(batch.events)
     with pytest.raises(ValueError, match="`result` must be the Result of a scan, got 'scan'"):
         check_one_scan("scan")
+
+
+def test_events_name_contact_and_object_if_there_may_be_several():
+    events = list(scanned().events)
+    assert tuple(str(event).partition("  ")[2] for event in events) == EVENTS
+    assert [event.contact for event in events] == [1, 2, 1, 1, 1, None]
+    assert [event.object for event in events] == [1, 2, 1, 1, 2, None]
+    assert [event.side is event.after for event in events] == [True, True, False, False, False, False]
+
+
+def test_events_of_single_contacts_concern_contact_1():
+    touch, _, snap = events(3)
+    assert (touch.contact, touch.object, touch.place) == (1, 1, "")
+    assert (snap.contact, snap.object, snap.place) == (None, None, "")
+    several = touch._replace(after=dataclasses.replace(touch.after, contact_object=np.array([2, 0])))
+    assert several.object == 2
+    assert several._replace(whiskers=(2,)).object is None
+
+
+def test_the_contact_that_ends_may_be_any_one():
+    release = scanned().events[3]
+    inner = release.before.contact_force[:, ::-1]
+    other = release._replace(before=dataclasses.replace(release.before, contact_force=inner))
+    assert other.contact == 2 and str(other).endswith("release of whisker 1 from object 2 at contact 2")
+    alone = dataclasses.replace(release.after, contact_object=None)
+    assert str(release._replace(after=alone)).endswith("release of whisker 1 at contact 1")

@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import jaxwhisker as jw
+import several
 from jaxwhisker._scan.dataset import VARIABLES
 from jaxwhisker._scan.state import OPTIONAL
 from jaxwhisker._study import summary as module
@@ -340,3 +341,24 @@ def test_other_data_are_refused(data):
     for wrong in (data.fx, {}, xr.Dataset(), data.drop_vars("control"), summary(data)):
         with pytest.raises(ValueError, match="`data` must be the Dataset of a study"):
             summary(wrong)  # pyright: ignore[reportArgumentType]
+
+
+def test_whiskers_with_several_contacts_are_summarised():
+    result = several.scanned()
+    found = summary(result.to_xarray())
+    touch, *_, snap = (event.control for event in result.events)
+    assert (float(found.first_touch[0]), float(found.last_contact[0])) == (touch, snap)
+    assert int(found.snaps) == 1 and float(found.snap_work) == pytest.approx(2.30103, abs=1e-5)
+    assert float(found.max_mz[0]) == pytest.approx(np.max(result.mz), rel=1e-3)
+    assert "contact" not in found.dims
+
+
+def test_a_study_of_several_contacts_keeps_all_of_them():
+    data = jw.study(several.circles, distance=[0.25], outputs=("contact", "reactions"), control=several.CONTROL)
+    assert data.contact_force.dims == ("distance", "control", "whisker", "contact")
+    result = several.scanned()
+    np.testing.assert_allclose(data.contact_force[0], result.contact_force, atol=1e-9)
+    np.testing.assert_array_equal(data.phase[0], result.phase)
+    whole = jw.study(several.circles, distance=[0.25], outputs="all", summary=True, control=several.CONTROL)
+    assert float(whole.last_contact[0, 0]) == pytest.approx(result.events[-1].control, abs=1e-9)
+    assert whole.before_contact_arc.dims == ("distance", "event", "whisker", "contact")

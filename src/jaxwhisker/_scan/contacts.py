@@ -25,12 +25,12 @@ def has_several(state: Any) -> bool:
 
 
 def check_one_contact(name: str, value: Any) -> None:
-    """Check that the whiskers of a scene, a state or a result have at most one contact each.
+    """Check that the whiskers of a scene, a state, a result or its Dataset have at most one contact each.
 
     Raises:
         ValueError: if they may have several; it names the argument.
     """
-    contacts = getattr(value, "contacts", 1)
+    contacts = getattr(value, "contacts", getattr(value, "sizes", {}).get("contact", 1))
     if isinstance(value, State) and has_several(value):
         contacts = np.shape(value.phase)[-1]
     if contacts > 1:

@@ -60,6 +60,9 @@ def animate(
     equilibrium lies between the two states. Its centre line is then turned from one to the other, past the object and
     without changing its length.
 
+    If whiskers may have several contacts, the flow is not computed: in a snap, bases move along straight lines, and
+    centre lines are turned as described.
+
     In space, a snap adds no frames: the state after it follows that before. What the object hides is paler.
 
     Whiskers are missing at failed steps, where the film shows the status.
