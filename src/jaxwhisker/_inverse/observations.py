@@ -16,9 +16,8 @@ from jaxwhisker._scan.quantities import MOTION, QUANTITIES, REACTIONS, REACTIONS
 from jaxwhisker._scan.result import AbstractResult, Result
 
 # Other columns of scans, studies and simulations, and the unnamed index of a table, which are ignored silently.
-_IGNORED = re.compile(
-    rf"(?:{'|'.join((*QUANTITIES, *MOTION))}|spring|event_.*|n_events)(?:_\d+){{0,2}}(?:_[xyz]_d[123])?|(?:Unnamed: \d+)?"
-)
+_NAMES = "|".join((*QUANTITIES, *MOTION, "spring", "event_.*", "n_events"))
+_IGNORED = re.compile(rf"(?:{_NAMES})(?:_\d+){{0,2}}(?:_[xyz]_d[123])?|(?:Unnamed: \d+)?")
 VANISHING = 1e-9  # of the largest signal
 OWN_REACTIONS = ("f1", "f2", "f3", "m1", "m2", "m3")  # along the directors of the displaced base
 OF_WHISKERS = (REACTIONS, REACTIONS_IN_SPACE, OWN_REACTIONS)  # channels of which every whisker has its own
