@@ -14,7 +14,7 @@ from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.state import OPTIONAL
 from jaxwhisker._study.layout import field_of
 from scenes import model
-from several import scanned, with_one_contact
+from several import scanned
 
 CONTROL = np.linspace(0.72, -1.62, 118)
 SAME = 1e-9  # a scan in a batch and alone, relative to the largest value
@@ -120,4 +120,3 @@ def test_contacts_are_a_dimension_if_there_may_be_several():
     np.testing.assert_array_equal(data.contact, [1, 2])
     np.testing.assert_array_equal(data.contact_arc, result.contact_arc)
     assert float(data.event_energy_before[5]) > float(data.event_energy_after[5]) == 0.0
-    assert "contact" not in with_one_contact(result).to_xarray().dims

@@ -349,7 +349,7 @@ def test_whiskers_with_several_contacts_are_summarised():
     touch, *_, snap = (event.control for event in result.events)
     assert (float(found.first_touch[0]), float(found.last_contact[0])) == (touch, snap)
     assert int(found.snaps) == 1 and float(found.snap_work) == pytest.approx(2.30103, abs=1e-5)
-    assert float(found.max_mz[0]) == pytest.approx(np.max(result.mz), rel=1e-3)
+    assert float(found.max_mz[0]) == pytest.approx(float(np.max(result.mz)), rel=1e-3)
     assert "contact" not in found.dims
 
 
