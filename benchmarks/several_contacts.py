@@ -2,8 +2,9 @@
 
 python benchmarks/several_contacts.py [scenes] [seed]     default 40 and 0; five minutes, most of them compilation
 
-Scenes with two and three circles, two ellipses, and parabolas with waves; straight, curved and conical whiskers; clamped,
-on FB and on FBFB. Checked are every fifth step, the states after all events, and that contacts begin and end at events.
+Scenes with two and three circles, two ellipses, and parabolas with waves; straight, curved and conical whiskers;
+clamped, on FB and on FBFB. Checked are every fifth step, the states after all events, and that contacts begin and end
+at events.
 """
 
 import sys

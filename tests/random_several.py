@@ -108,6 +108,8 @@ def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, 
     states += [(event.control, -1, laws.state_of(event.after)) for event in events]
     # A snap at an event: the state right after the event is not stable.
     lost = [a.control for a, b in pairwise(events) if b.kind in SNAPS and abs(a.control - b.control) < AT_ONCE]
+    if events and len(ok) < len(result.status):
+        lost.append(events[-1].control)  # the scan may end there
     found = []
     for control, step, state in states:
         values = laws.violations(drawn.plain, control, state)
