@@ -1,4 +1,4 @@
-"""The object: a rigid, convex body above its profile, the curve that whiskers touch.
+"""The object: a rigid body above its profile, the curve that whiskers touch; convex where they have one contact each.
 
 A profile with edges consists of pieces, numbered from left to right: edges have even numbers, the smooth arcs between
 them odd ones. Along an arc, the parameter of the profile moves the point. On an edge the point is fixed, and the

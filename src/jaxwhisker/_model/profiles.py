@@ -14,10 +14,11 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint, FirstTouch,
 
 
 class Graph(AbstractProfile):
-    """Graph y = g(x - position) of a strictly convex, twice differentiable function.
+    """Graph y = g(x - position) of a twice differentiable function.
 
-    Its parameter is the abscissa x - position. If a whisker touches where g is not strictly convex, the scan ends with
-    status `not_convex`.
+    It must be strictly convex, unless the scene has room for several contacts: with `Scene(contacts=2)`, it may be any
+    smooth function. Its parameter is the abscissa x - position. If a whisker with one contact touches where g is not
+    strictly convex, the scan ends with status `not_convex`.
 
     Args:
         g: height of the profile above the bases, a length, as a function of the abscissa, a length; positive. JAX must

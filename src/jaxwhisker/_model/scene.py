@@ -105,10 +105,10 @@ class Scene(AbstractScene, metaclass=_OfObject):
             whisker meets an object in a second place), "crossing" (two whiskers cross, if they lie in one plane), or a
             tuple of these; () detects nothing. Default: "second_contact". A scene in which no contact of this kind
             can occur, such as that of a straight whisker before one object, needs no search.
-        contacts: largest number of contacts of one whisker. With more than 1, whiskers may touch several objects at
-            once, and concave ones, and one object in several places; contact fields of results then have a last axis
-            of contacts, from the tip to the base. Each scan takes longer, about in proportion. Not available with
-            friction, with springs on shafts, and for objects with edges.
+        contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
+            objects at once, and concave ones, and one object in several places; contact fields of results then have a
+            last axis of contacts, from the tip to the base. Each scan takes longer, about in proportion. Not available
+            with friction, springs on shafts, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`

@@ -63,8 +63,9 @@ def scan(scene: Any, control: Control | None = None) -> Any:
     Returns:
         A Result, or a SpaceResult of a scene in space. The values of a step that fails are NaN, and its status says why
         (`invalid`: a parameter is outside its domain; `lost`, `unsettled`, `not_convex`, `too_long`, `inexact`,
-        `unstable`, `undetermined`: see `Status`). With `Scene(detect=...)`, a scan also ends where a contact that is
-        not modelled begins: from there on, the status is `second_contact` or `crossing`.
+        `unstable`, `undetermined`: see `Status`). A scan also ends where a contact that is not modelled begins: from
+        there on, the status is `second_contact` or `crossing` (see `Scene(detect=)`), or `too_many_contacts` if a
+        whisker needs more than `Scene(contacts=)`.
 
     Raises:
         ValueError: if a concrete argument is invalid, if the default control would have more than a million steps
