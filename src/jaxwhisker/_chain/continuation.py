@@ -24,6 +24,7 @@ from jaxwhisker._chain.march_state import (
 )
 from jaxwhisker._chain.margins import (
     MARGIN_NOISE,
+    TOUCHING,
     begins_at,
     first_violated,
     is_full,
@@ -151,7 +152,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
     # The end of a step along the path.
 
     def accepts(self, march: MarchOfChain, trial: TrialOfChain):
-        return trial.converged, jnp.inf
+        # A touch behind a loss of stability must not hide it.
+        touches = jnp.any(trial.stance.gap + TOUCHING < -MARGIN_NOISE)
+        return trial.converged & ~(touches & ~trial.stable & (march.step > CLOSE)), jnp.inf
 
     def dip(self, march: MarchOfChain, trial: TrialOfChain, violated):
         straight = dot(march.tangent, trial.tangent, scale_of(march.point.z))

@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.contact import SLACK, Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Outcome, Task
-from jaxwhisker._path.path import EventKind, Status, first_case, select
+from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
 
 # Distances of the control behind a loss at which rods flow, dimensionless: coarse rods may still be stable close to it.
 BEYOND = (3e-3, 2e-2, 1e-1)
@@ -53,17 +53,12 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
 
     nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))
     landing = jax.lax.cond(any_lane(begins), landed_in, lambda: nowhere)
-    each = of_whiskers(problem, (before.before.touches, landing.state.touches))
-    freed = jnp.any(each[0], axis=1) & ~jnp.any(each[1], axis=1)
-    kind = jnp.where(jnp.any(freed), int(EventKind.snap_off), int(EventKind.snap_through))
-    first = jnp.arange(problem.rows) % problem.contacts == 0
-    whiskers = first & jnp.repeat(jnp.where(jnp.any(freed), freed, jnp.any(each[0], axis=1)), problem.contacts)
     landed = march.replace(
         task=jnp.asarray(int(Task.arrive)),
         state=landing.state,
         point=Point(landing.z, u),
         target=march.target._replace(number=jnp.asarray(SNAP), whiskers=jnp.zeros(problem.rows, bool)),
-        pending=before._replace(state=landing.state, kind=kind, whiskers=whiskers),
+        pending=_snap(problem, before, landing.state),
     )
     new = first_case(
         (landing.too_many, march.stopped(Status.too_many_contacts)),
@@ -71,6 +66,17 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         otherwise=landed,
     )
     return new, jnp.asarray(False), march.pending
+
+
+def _snap(problem: ChainProblem, before: Node, state: ChainState) -> Node:
+    """The node of a snap into this state."""
+    touched, touches = (jnp.any(each, axis=1) for each in of_whiskers(problem, (before.before.touches, state.touches)))
+    freed = touched & ~touches
+    off = jnp.any(freed)
+    kind = jnp.where(off, int(EventKind.snap_off), int(EventKind.snap_through))
+    first = jnp.arange(problem.rows) % problem.contacts == 0
+    whiskers = first & jnp.repeat(jnp.where(off, freed, touched), problem.contacts)
+    return before._replace(state=state, kind=kind, whiskers=whiskers)
 
 
 def revised_landing(
@@ -91,7 +97,8 @@ def revised_landing(
     full = is_full(problem, march, new.row)
     z, state = first_case((jnp.any(pulls), less), (jnp.any(other), turned), otherwise=more)
     flow_ = march.flow._replace(tries=march.flow.tries + 1)
-    revised = march.replace(point=march.point._replace(z=z), state=state, flow=flow_)
+    pending = _snap(problem, march.pending, state)
+    revised = march.replace(point=march.point._replace(z=z), state=state, flow=flow_, pending=pending)
     only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other)
     revised = select(only_deep & full, march.stopped(Status.too_many_contacts), revised)
     return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep)

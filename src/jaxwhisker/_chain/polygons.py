@@ -36,9 +36,7 @@ def faces_of(one: PolygonChain) -> PolygonFaces:
     slopes, real = one.slopes[1:], jnp.asarray(k < one.count)
     touchable = jnp.asarray(k < one.count - 1)
     length = jnp.where(real, jnp.hypot(to_x - x, to_y - y), 1.0)
-    return PolygonFaces(
-        x, y, to_y, jnp.cos(slopes), jnp.sin(slopes), length, jnp.asarray(real), jnp.asarray(k < one.count - 1)
-    )
+    return PolygonFaces(x, y, to_y, jnp.cos(slopes), jnp.sin(slopes), length, real, touchable)
 
 
 class AtFace(NamedTuple):

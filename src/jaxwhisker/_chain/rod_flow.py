@@ -27,14 +27,32 @@ from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._rod.rod import Section
 
 LINKS = 60
-STIFFNESS = 2e4  # EI/L^3, of an object at the end of a link
+SHARES = 4  # of each link, at whose ends objects push
+POINTS = LINKS * SHARES
+STIFFNESS = 2e4  # EI/L^3, of an object along a link
+MOST = 48  # points that are pushed at the same time, as far as second derivatives are concerned
 STRIDE = 0.01  # lengths by which any point may move in a step
 FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
 REST = 1e-7  # lengths by which points at rest may move in a step of the longest time
 STEPS = 600
 LEAST_FORCE = 1e-4  # EI/L^2, of a contact
-NEIGHBOURS = 1.6  # links between two places that belong to one contact
-AT_TIP = 0.5  # links from the tip within which a contact is one at the tip
+NEIGHBOURS = 1.6 * SHARES  # shares of links between two places that belong to one contact
+AT_TIP = 0.5  # shares from the tip within which a contact is one at the tip
+
+
+def _between() -> np.ndarray:
+    """Angles at the middles of all shares by those of links, between whose middles they are linear.
+
+    With straight links, a contact would have to jump from kink to kink.
+    """
+    at = (np.arange(POINTS) + 0.5) / SHARES - 0.5
+    left, rows = np.clip(np.floor(at).astype(int), 0, LINKS - 2), np.arange(POINTS)
+    weights = np.zeros((POINTS, LINKS))
+    weights[rows, left], weights[rows, left + 1] = 1 - (at - left), at - left
+    return weights
+
+
+BETWEEN = _between()
 
 
 class CoarseRods(NamedTuple):
@@ -85,14 +103,15 @@ def _whisker(body: WhiskerAtObject) -> _Whisker:
 
 
 class _Touching(NamedTuple):
-    """How rods touch objects: with the ends of their links, and between these at corners; fields (elements,)."""
+    """How rods touch objects: with the ends of the shares of links, and anywhere at corners; fields (elements,)."""
 
     depth: Float[Array, " elements"]
     piece: Int[Array, " elements"]
     parameter: Float[Array, " elements"]
     normal: Float[Array, "elements 2"]
     curvature: Float[Array, " elements"]  # of the object; positive if it is convex
-    arc: Float[Array, " elements"]  # from the base, in links
+    arc: Float[Array, " elements"]  # from the base, in shares
+    stiffness: Float[Array, " elements"]
 
 
 def _touching(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, ends: Array) -> _Touching:
@@ -115,7 +134,7 @@ def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Whisker, length
         return -at.off(x, y), p, at.normal, curvature
 
     depth, parameter, normal, curvature = jax.vmap(at_end)(*ends.T)
-    return _Touching(depth, jnp.full(LINKS, first), parameter, normal, curvature, jnp.arange(1.0, LINKS + 1))
+    return _Touching(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points())
 
 
 def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _Touching:
@@ -128,19 +147,20 @@ def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _Touchin
         return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, jnp.stack([faces.sin[k], -faces.cos[k]])
 
     depth, piece, parameter, normal = jax.vmap(at_end)(*ends.T)
-    return _Touching(depth, piece, parameter, normal, jnp.zeros(LINKS), jnp.arange(1.0, LINKS + 1))
+    return _Touching(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points())
 
 
 def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Whisker, angle: Array, ends: Array) -> _Touching:
-    faces, cos, sin = faces_of(one), jnp.cos(angle), jnp.sin(angle)
-    begins = ends - own.link * jnp.stack([cos, sin], axis=1)
+    fine, size = BETWEEN @ angle, own.link / SHARES
+    faces, cos, sin = faces_of(one), jnp.cos(fine), jnp.sin(fine)
+    begins = ends - size * jnp.stack([cos, sin], axis=1)
 
     def at(k):
         right, up = (one.xy[k] - begins).T
-        share = (right * cos + up * sin) / own.link
+        share = (right * cos + up * sin) / size
         apart = jnp.abs(up * cos - right * sin)
         j = jnp.argmin(jnp.where((share >= 0) & (share <= 1), apart, jnp.inf))
-        x, y = begins[j, 0] + share[j] * own.link * cos[j], begins[j, 1] + share[j] * own.link * sin[j]
+        x, y = begins[j, 0] + share[j] * size * cos[j], begins[j, 1] + share[j] * size * sin[j]
         touch = at_corner(one, faces, k, x, y, cos[j], sin[j])
         passes = (share[j] >= 0) & (share[j] <= 1) & touch.meets
         normal = touch.side * jnp.stack([sin[j], -cos[j]])
@@ -148,42 +168,57 @@ def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Whisker, angle: 
         return depth, first + 2 * k, touch.parameter, normal, j + share[j]
 
     depth, piece, parameter, normal, arc = of_corners(one, at)
-    return _Touching(depth, piece, parameter, normal, jnp.zeros_like(depth), arc)
+    return _Touching(depth, piece, parameter, normal, jnp.zeros_like(depth), arc, jnp.full_like(depth, STIFFNESS))
 
 
-def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "links 2"]:
-    base = own.origin + jnp.sum(own.axes * pose[:2], axis=1)
-    way = own.link * jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=1)
+def _at_points() -> tuple[Array, Array]:
+    """Arcs of the ends of shares, and the stiffness of an object there."""
+    arc = np.arange(1.0, POINTS + 1)
+    return jnp.asarray(arc), jnp.asarray(np.where(arc == POINTS, STIFFNESS, STIFFNESS / SHARES))
+
+
+def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "points 2"]:
+    base, fine = own.origin + jnp.sum(own.axes * pose[:2], axis=1), BETWEEN @ angle
+    way = own.link / SHARES * jnp.stack([jnp.cos(fine), jnp.sin(fine)], axis=1)
     return base + jnp.cumsum(way, axis=0)
 
 
 def _system(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, pose: Array):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
-    ends = _ends(own, angle, pose)
+    ends, size = _ends(own, angle, pose), own.link / SHARES
     touch = _touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
-    force = STIFFNESS * depth[:, None] * touch.normal
-    # The share of each link by which it moves an element when it turns: all of those before it.
-    share = jnp.clip(touch.arc[:, None] - np.arange(LINKS), 0.0, 1.0)
-    beyond = share.T @ force  # sum of the forces beyond each link
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    force = (touch.stiffness * depth)[:, None] * touch.normal
+    fine = BETWEEN @ angle
+    cos, sin = jnp.cos(fine), jnp.sin(fine)
+    # Derivatives of the ends of all shares, and of the base, by the angles of the links.
+    rates = jnp.stack([-sin, cos], axis=1)[:, :, None] * BETWEEN[:, None, :]
+    rates = jnp.concatenate([jnp.zeros((1, 2, LINKS)), size * jnp.cumsum(rates, axis=0)])
+
+    def turns(arc, way):
+        """Derivatives along `way` of the points at these arcs."""
+        k = jnp.clip(jnp.ceil(arc).astype(int) - 1, 0, POINTS - 1)
+        at = rates[k] + (arc - k)[:, None, None] * (rates[k + 1] - rates[k])
+        return jnp.sum(way[:, :, None] * at, axis=1)
+
     before = jnp.append(own.upright + pose[2], angle[:-1])
     moment = own.joint * (angle - before - own.bend)
-    by_angle = moment - jnp.append(moment[1:], 0.0) - own.link * (beyond[:, 1] * cos - beyond[:, 0] * sin)
+    by_angle = moment - jnp.append(moment[1:], 0.0) - jnp.sum(turns(touch.arc, force), axis=0)
     by_pose = -jnp.append(jnp.sum(own.axes * jnp.sum(force, axis=0)[:, None], axis=0), moment[0])
+    _, pushed = jax.lax.top_k(touch.depth, min(MOST, touch.depth.size))
+    some = jax.tree.map(lambda leaf: leaf[pushed], touch)
 
-    # Derivatives of the depths of all ends.
     def moves(way):
-        turns = own.link * share * (way[:, :1] * -sin + way[:, 1:] * cos)
         shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
-        return jnp.concatenate([turns, shifts, jnp.zeros_like(way[:, :1])], axis=1)
+        return jnp.concatenate([turns(some.arc, way), shifts, jnp.zeros_like(way[:, :1])], axis=1)
 
-    into, along = moves(touch.normal), moves(touch.normal[:, ::-1] * np.array([-1.0, 1.0]))
-    stiff, bends = jnp.where(touch.depth > 0, STIFFNESS, 0.0), -STIFFNESS * depth * touch.curvature
+    into, along = moves(some.normal), moves(some.normal[:, ::-1] * np.array([-1.0, 1.0]))
+    stiff, bends = jnp.where(some.depth > 0, some.stiffness, 0.0), -some.stiffness * depth[pushed] * some.curvature
     second = into.T @ (stiff[:, None] * into) + along.T @ (bends[:, None] * along)
-    geometric = own.link * (beyond[:, 0] * cos + beyond[:, 1] * sin)
+    beyond = jnp.clip(some.arc[:, None] - np.arange(POINTS), 0.0, 1.0).T @ force[pushed]
+    geometric = BETWEEN.T @ (size * (beyond[:, 0] * cos + beyond[:, 1] * sin)[:, None] * BETWEEN)
     next_joint = jnp.append(own.joint[1:], 0.0)
-    tight = jnp.diag(own.joint + next_joint + geometric) - jnp.diag(own.joint[1:], 1) - jnp.diag(own.joint[1:], -1)
+    tight = geometric + jnp.diag(own.joint + next_joint) - jnp.diag(own.joint[1:], 1) - jnp.diag(own.joint[1:], -1)
     second = second.at[:LINKS, :LINKS].add(tight)
     second = second.at[-1, -1].add(own.joint[0]).at[0, -1].add(-own.joint[0]).at[-1, 0].add(-own.joint[0])
     return jnp.append(by_angle, by_pose), second, ends
@@ -236,7 +271,8 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         springs = rods.springs + change[size:]
         there = jax.vmap(_ends)(each, angle, _poses(problem, springs))
         moved = jnp.max(jnp.sqrt(jnp.sum((there - ends) ** 2, axis=-1)))
-        good = moved < STRIDE
+        # Longer steps would also end at saddles.
+        good = (moved < STRIDE) & positive_definite(system)
         growth = jnp.where(moved < STRIDE / 8, 3.0, jnp.where(moved < STRIDE / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
         rests = good & (moved < REST) & (rods.time >= LONGEST_TIME / 4)
@@ -251,9 +287,7 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
     def goes_on(rods: CoarseRods):
         return begins & ~rods.rests & (rods.steps < STEPS) & (rods.time > 1e-12)
 
-    end = jax.lax.while_loop(goes_on, step, start)
-    # Steps of the longest time could end at a saddle.
-    return end._replace(rests=end.rests & positive_definite(linearised(end)[1]))
+    return jax.lax.while_loop(goes_on, step, start)
 
 
 def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
@@ -266,30 +300,30 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
         order = jnp.argsort(-jnp.where(touch.depth > 0, touch.arc, -1.0))
         touch = jax.tree.map(lambda leaf: leaf[order], touch)  # from the tip
         depth = jnp.maximum(touch.depth, 0.0)
-        active, number = depth * STIFFNESS > LEAST_FORCE, owner(touch.piece)
+        active, number = depth * touch.stiffness > LEAST_FORCE, owner(touch.piece)
         assert number is not None
         near = (number[1:] == number[:-1]) & (touch.arc[:-1] - touch.arc[1:] < NEIGHBOURS)
         joins = active & jnp.append(False, active[:-1] & near)
         begins = active & ~joins
         group = jnp.where(active, jnp.cumsum(begins) - 1, room)
-        beyond = own.link * (LINKS - touch.arc)
+        beyond, fine = own.link / SHARES * (POINTS - touch.arc), BETWEEN @ angle
 
         def of_group(k):
-            weight = jnp.where(group == k, depth, 0.0)
+            weight = jnp.where(group == k, touch.stiffness * depth, 0.0)
             total = jnp.sum(weight)
             some = total > 0
             deepest = jnp.argmax(weight)
-            at_tip = some & (beyond[deepest] < AT_TIP * own.link) & (signs[touch.piece[deepest]] <= 0)
+            at_tip = some & (POINTS - touch.arc[deepest] < AT_TIP) & (signs[touch.piece[deepest]] <= 0)
             mean = jnp.sum(weight * beyond) / jnp.where(some, total, 1.0)
             # A corner knows its place; a curve is touched by the ends of several links.
             mean = jnp.where(signs[touch.piece[deepest]] > 0, beyond[deepest], mean)
-            link = jnp.clip(jnp.ceil(touch.arc[deepest]).astype(int) - 1, 0, LINKS - 1)
+            share = fine[jnp.clip(jnp.ceil(touch.arc[deepest]).astype(int) - 1, 0, POINTS - 1)]
             normal = touch.normal[deepest]
-            into = -(jnp.cos(angle[link]) * normal[0] + jnp.sin(angle[link]) * normal[1])
+            into = -(jnp.cos(share) * normal[0] + jnp.sin(share) * normal[1])
             # The object's tangent is (-n_y, n_x).
-            along = -jnp.cos(angle[link]) * normal[1] + jnp.sin(angle[link]) * normal[0]
+            along = -jnp.cos(share) * normal[1] + jnp.sin(share) * normal[0]
             slack = jnp.where(at_tip, -jnp.arctan2(into, jnp.abs(along)), mean)
-            numbers = jnp.stack([STIFFNESS * total, touch.parameter[deepest], slack])
+            numbers = jnp.stack([total, touch.parameter[deepest], slack])
             phase = jnp.where(at_tip, int(Phase.tip), int(Phase.tangential))
             return (
                 jnp.where(some, numbers, 0.0),
