@@ -28,12 +28,26 @@ class Wave(eqx.Module):
         return self.distance + self.amplitude * (1 - jnp.cos(2 * jnp.pi * x / self.wavelength)) + self.a * x**2
 
 
-def _object(o: dict) -> jw.Circle | jw.Ellipse | jw.Graph:
-    if o["kind"] == "circle":
-        return jw.Circle(o["distance"], o["radius"], position=o["position"])
-    if o["kind"] == "ellipse":
-        return jw.Ellipse(o["distance"], o["a"], o["b"], position=o["position"])
-    return jw.Graph(Wave(*(o[name] for name in ("distance", "amplitude", "wavelength", "a"))), position=o["position"])
+def _wave(position: float, **numbers: float) -> jw.Graph:
+    return jw.Graph(Wave(**numbers), position=position)
+
+
+def _polygon(outline: list) -> jw.Polygon:
+    return jw.Polygon(outline)
+
+
+MAKERS = {
+    "circle": jw.Circle,
+    "ellipse": jw.Ellipse,
+    "cosine": _wave,
+    "box": jw.Box,
+    "polygon": _polygon,
+    "pipe": jw.Pipe,
+}
+
+
+def _object(o: dict):
+    return MAKERS[o["kind"]](**{name: value for name, value in o.items() if name != "kind"})
 
 
 def scene_of(case: dict) -> jw.Scene:

@@ -40,17 +40,14 @@ def test_whiskers_of_events(name):
             assert set(event.whiskers) == before - after
 
 
-@by_name
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if any("after" in e for e in case["events"])])
 def test_states_after_jumps_are_exact(name):
     case = CASES[name]
-    jumps = 0
     for event, exact in zip(scanned(name).events, case["events"], strict=True):
         if "after" not in exact:
             continue
-        jumps += 1
         compare(event.before, exact["before"], NEXT_TO_A_FOLD, len(case["whiskers"]))
         compare(event.after, exact["after"], AFTER, len(case["whiskers"]))
-    assert jumps > 0
 
 
 def compare(state, exact: dict, tolerance: float, whiskers: int) -> None:
