@@ -75,7 +75,7 @@ def test_classes_of_arguments_count():
         sources.modules(described(*problem_program(jw.Scene(jw.Whisker(), profile, jw.Support.fb(70.0)))))
         for profile in (jw.Parabola(0.2), jw.Box(0.2, 0.5, 0.4))
     )
-    assert polygon - smooth == {"jaxwhisker._model.polygon"}
+    assert polygon - smooth == {"jaxwhisker._model.polygon_chain"}
 
 
 def files_run(function, *args):

@@ -74,7 +74,7 @@ class Landing(NamedTuple):
     too_many: Bool[Array, ""]  # whether there are more contacts than there is room for
 
 
-class _Whisker(NamedTuple):
+class _Links(NamedTuple):
     """What does not change in the flow, of each whisker."""
 
     link: Scalar  # length of a link
@@ -85,7 +85,7 @@ class _Whisker(NamedTuple):
     upright: Scalar  # angle of the unloaded base to the x axis
 
 
-def _whisker(body: WhiskerAtObject) -> _Whisker:
+def _whisker(body: WhiskerAtObject) -> _Links:
     link = body.length / LINKS
     at = link * jnp.asarray(np.append(0.25, np.arange(1, LINKS)))
     part = jnp.asarray(np.append(0.5, np.ones(LINKS - 1))) * link
@@ -99,10 +99,10 @@ def _whisker(body: WhiskerAtObject) -> _Whisker:
     assert frame is not None
     axes = jnp.stack([jnp.stack([frame.cos, frame.sin]), jnp.stack([-frame.sin, frame.cos])], axis=1)
     upright = jnp.arctan2(frame.sin, frame.cos) + np.pi / 2
-    return _Whisker(link, stiffness / part, curvature * part, jnp.stack([frame.x, frame.y]), axes, upright)
+    return _Links(link, stiffness / part, curvature * part, jnp.stack([frame.x, frame.y]), axes, upright)
 
 
-class _Touching(NamedTuple):
+class _TouchingLinks(NamedTuple):
     """How rods touch objects: with the ends of the shares of links, and anywhere at corners; fields (elements,)."""
 
     depth: Float[Array, " elements"]
@@ -114,7 +114,7 @@ class _Touching(NamedTuple):
     stiffness: Float[Array, " elements"]
 
 
-def _touching(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, ends: Array) -> _Touching:
+def _touching(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, ends: Array) -> _TouchingLinks:
     def of_one(one, first):
         if not isinstance(one, PolygonChain):
             return _at_curve(one, first, own, length, ends)
@@ -124,7 +124,7 @@ def _touching(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of_each_object(problem.profile, of_one))
 
 
-def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Whisker, length: Scalar, ends: Array) -> _Touching:
+def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Links, length: Scalar, ends: Array) -> _TouchingLinks:
     outline = outline_of(one, own.origin[0], own.origin[1], 1.5 * length)
 
     def at_end(x, y):
@@ -134,10 +134,10 @@ def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Whisker, length
         return -at.off(x, y), p, at.normal, curvature
 
     depth, parameter, normal, curvature = jax.vmap(at_end)(*ends.T)
-    return _Touching(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points())
+    return _TouchingLinks(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points())
 
 
-def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _Touching:
+def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _TouchingLinks:
     faces = faces_of(one)
 
     def at_end(x, y):
@@ -147,10 +147,10 @@ def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _Touchin
         return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, jnp.stack([faces.sin[k], -faces.cos[k]])
 
     depth, piece, parameter, normal = jax.vmap(at_end)(*ends.T)
-    return _Touching(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points())
+    return _TouchingLinks(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points())
 
 
-def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Whisker, angle: Array, ends: Array) -> _Touching:
+def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Links, angle: Array, ends: Array) -> _TouchingLinks:
     fine, size = BETWEEN @ angle, own.link / SHARES
     faces, cos, sin = faces_of(one), jnp.cos(fine), jnp.sin(fine)
     begins = ends - size * jnp.stack([cos, sin], axis=1)
@@ -168,7 +168,7 @@ def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Whisker, angle: 
         return depth, first + 2 * k, touch.parameter, normal, j + share[j]
 
     depth, piece, parameter, normal, arc = of_corners(one, at)
-    return _Touching(depth, piece, parameter, normal, jnp.zeros_like(depth), arc, jnp.full_like(depth, STIFFNESS))
+    return _TouchingLinks(depth, piece, parameter, normal, jnp.zeros_like(depth), arc, jnp.full_like(depth, STIFFNESS))
 
 
 def _at_points() -> tuple[Array, Array]:
@@ -177,13 +177,13 @@ def _at_points() -> tuple[Array, Array]:
     return jnp.asarray(arc), jnp.asarray(np.where(arc == POINTS, STIFFNESS, STIFFNESS / SHARES))
 
 
-def _ends(own: _Whisker, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "points 2"]:
+def _ends(own: _Links, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "points 2"]:
     base, fine = own.origin + jnp.sum(own.axes * pose[:2], axis=1), BETWEEN @ angle
     way = own.link / SHARES * jnp.stack([jnp.cos(fine), jnp.sin(fine)], axis=1)
     return base + jnp.cumsum(way, axis=0)
 
 
-def _system(problem: ChainProblem, own: _Whisker, length: Scalar, angle: Array, pose: Array):
+def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, pose: Array):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
     ends, size = _ends(own, angle, pose), own.link / SHARES
     touch = _touching(problem, own, length, angle, ends)

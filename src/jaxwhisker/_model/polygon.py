@@ -33,6 +33,10 @@ class _AbstractPolygon(AbstractProfile):
         """Corners of the polygon, counter-clockwise."""
 
     @property
+    def has_corners(self):
+        return True
+
+    @property
     def is_concave(self):
         return self.concave
 

@@ -102,6 +102,11 @@ class AbstractProfile(eqx.Module):
         return False
 
     @property
+    def has_corners(self) -> bool:
+        """Whether all edges are corners between straight faces."""
+        return False
+
+    @property
     def is_concave(self) -> bool:
         """Whether the profile is known to have inner corners or to be hollow."""
         return False

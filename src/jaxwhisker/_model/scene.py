@@ -38,7 +38,6 @@ from jaxwhisker._model.assembly import (
 )
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.objects import as_one
-from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -77,11 +76,6 @@ class _OfObject(type(eqx.Module)):
                 checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
-
-
-def _is_known(one: AbstractProfile) -> bool:
-    """Whether several contacts are modelled for this kind of object."""
-    return not one.has_edges or isinstance(one, (Polygon, Box))
 
 
 def _in_space(value: Any) -> bool:
@@ -164,7 +158,11 @@ class Scene(AbstractScene, metaclass=_OfObject):
             (self.friction is not None, "friction", "None with several contacts of one whisker"),
             (self.support.on_shafts, "support", "without springs or foundations on shafts for several contacts"),
             (not isinstance(self.rod, Shooting), "rod", "Shooting() for several contacts"),
-            (not all(map(_is_known, self.profile.objects)), "profile", "of smooth objects, polygons and boxes"),
+            (
+                not all(one.has_corners or not one.has_edges for one in self.profile.objects),
+                "profile",
+                "of smooth objects, polygons and boxes",
+            ),
             ("crossing" in (self.detect or ()), "detect", 'without "crossing" for several contacts'),
         )
         for is_there, name, allowed in unknown:
