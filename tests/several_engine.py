@@ -1,5 +1,7 @@
 """Stored exact states as the unknowns of the engine; all of one problem shape: a clamped whisker below a graph."""
 
+# pyright: reportArgumentType=false
+
 from functools import cache
 from typing import NamedTuple
 
@@ -10,11 +12,19 @@ import numpy as np
 import several_laws as laws
 from jaxwhisker._base import checks
 from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.continuation import ContinuationOfChain
+from jaxwhisker._chain.gaps import Candidate
+from jaxwhisker._chain.march_state import MarchOfChain, TrialOfChain
+from jaxwhisker._chain.newton import ChainSolution, newton_step
 from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.stance import stance_of
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.point import Point, at_control, unit
+from jaxwhisker._path.continuation import Limits
 from jaxwhisker._scan.chain import problem_now
 from several_cases import CASES, scene_of
 
+STOP = -2.0  # the control that marches move to
 STORED = 1e-8  # residuals of stored states, which have nine decimals
 
 
@@ -77,3 +87,33 @@ def with_contacts(count: int, name: str = "wavy") -> Known:
         if len(contacts) == count and all(contact[2] == Phase.tangential for contact in contacts):
             return known(held(case, control, reactions_at(case, k), contacts))
     raise ValueError(f"no state with {count} contacts")
+
+
+def march_at(known: Known) -> MarchOfChain:
+    """A march that has come to a state of `wavy`, on its way to smaller controls."""
+    u, z, state = known
+    march = ContinuationOfChain(problem()).start(jnp.reshape(u, 1), Limits(u, u, u))
+    tangent, stance = _around(problem(), u, z, state)
+    return march.replace(point=Point(z, u), state=state, tangent=tangent, stance=stance)
+
+
+@jax.jit
+def _around(problem, u, z, state):
+    tangent, _ = unit(newton_step(problem, state, at_control(u, z), Point(z, u)).tangent, z)
+    tangent = jax.tree.map(lambda leaf: -leaf, tangent)  # the control decreases
+    return tangent, stance_of(problem, u, problem.rest, z, state)[0]
+
+
+def candidates(phase: Phase, slack: float) -> Candidate:
+    """Three candidates of the only whisker, of which the second one is of interest."""
+    numbers = jnp.array([[0.0, 9.0, 9.0], [0.0, 0.3, slack], [0.0, 9.0, 9.0]])
+    kinds, sides = jnp.full(3, int(phase)), jnp.array([1.0, -1.0, 1.0])
+    return jax.tree.map(lambda leaf: leaf[None], Candidate(jnp.ones(3), numbers, kinds, sides, jnp.zeros(3, int)))
+
+
+def trial_at(march, z, state=None, phase=Phase.tangential, slack=0.2) -> TrialOfChain:
+    """The end of a step in these contacts."""
+    solution = ChainSolution(Point(z, march.point.u), None, jnp.asarray(True))
+    state, own = march.state if state is None else state, candidates(phase, slack)
+    stop, last, stable = jnp.asarray(STOP), jnp.asarray(0), jnp.asarray(True)
+    return TrialOfChain(solution, march.tangent, march.stance, own, march.point, state, stop, last, stable)

@@ -111,13 +111,31 @@ def test_the_outermost_point_at_a_height():
         (np.ma.masked_equal([(-0.4, 0.6), (0.1, 0.2), (0.5, 0.6)], 0.1), "finite numbers", "nan"),
         (WEDGE[::-1], "counter-clockwise", "0.6"),
         ([(-0.4, 0.6), (0.0, 0.6), (0.4, 0.6), (0.0, 0.9)], "no three of them in line", "0.9"),
-        ([(-0.4, 0.2), (0.0, 0.4), (0.4, 0.2), (0.4, 0.9), (-0.4, 0.9)], "convex polygon", "0.9"),
+        ([(-0.4, 0.2), (0.4, 0.9), (0.4, 0.2), (-0.4, 0.9)], "does not cross itself", "0.9"),
     ],
 )
 def test_wrong_corners_are_rejected(vertices, allowed, got):
     with pytest.raises(ValueError, match="`vertices`") as error:
         jw.Polygon(vertices)
     assert allowed in str(error.value) and got in str(error.value)
+
+
+def test_inner_corners_need_several_contacts():
+    roof = jw.Polygon([(-0.4, 0.2), (0.0, 0.4), (0.4, 0.2), (0.4, 0.9), (-0.4, 0.9)])
+    assert roof.is_concave and not jw.Polygon(WEDGE).is_concave
+    assert jw.Scene(jw.Whisker(), roof, contacts=2).contacts == 2
+    with pytest.raises(ValueError, match=r"`contacts` must be at least 2 for .* inner corners, got 1"):
+        jw.Scene(jw.Whisker(), roof)
+
+
+@pytest.mark.parametrize(
+    ("concave", "vertices"),
+    [(True, WEDGE), (False, [(-0.4, 0.2), (0.0, 0.4), (0.4, 0.2), (0.4, 0.9), (-0.4, 0.9)])],
+)
+def test_whether_corners_are_inner_ones_is_checked_where_it_is_given(concave, vertices):
+    assert jw.Polygon(vertices, concave=not concave).concave != concave
+    with pytest.raises(ValueError, match=f"`concave` must be {not concave} for these corners, got {concave}"):
+        jw.Polygon(vertices, concave=concave)
 
 
 def test_an_object_below_the_bases_is_rejected():

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.scene import moves_along_x, units
+from jaxwhisker._model.scene import MOST_CONTACTS, moves_along_x, units
 
 PARABOLA = jw.Parabola(0.2)
+ROOF = [(-0.4, 0.2), (0.0, 0.4), (0.4, 0.2), (0.4, 0.9), (-0.4, 0.9)]
 
 
 def arc(s):
@@ -117,6 +118,47 @@ def test_only_upright_bases_move_along_x_alone(support, motion, along_x):
 def test_wrong_scenes(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.unchecked
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"contacts": 0}, "`contacts` must be a positive int, got 0"),
+        ({"contacts": 2.0}, "`contacts` must be a positive int, got 2.0"),
+        ({"contacts": MOST_CONTACTS + 1}, f"`contacts` must be at most {MOST_CONTACTS}, got {MOST_CONTACTS + 1}"),
+        ({"friction": 0.3}, "`friction` must be None with several contacts of one whisker, got 0.3"),
+        (
+            {"support": jw.Support((jw.Spring((0, 1), 70.0, 0.2), jw.Spring((0, 1), 5.0, 0.2, axis="axial", at=0.1)))},
+            "`support` must be without springs or foundations on shafts for several contacts, got",
+        ),
+        ({"rod": jw.ClosedForm()}, r"`rod` must be Shooting\(\) for several contacts, got closed form"),
+        ({"profile": jw.Cut(PARABOLA, right=0.3)}, "`profile` must be of smooth objects, polygons and boxes, got"),
+        (
+            {"profile": (PARABOLA, jw.Tilted(jw.Box(0.3, 0.8, 0.5), 0.3))},
+            "`profile` must be of smooth objects, polygons and boxes, got",
+        ),
+        ({"detect": "crossing"}, "`detect` must be without \"crossing\" for several contacts, got .'crossing',."),
+    ],
+)
+def test_wrong_scenes_with_several_contacts(changes, message):
+    known = {"whisker": jw.Whisker(), "profile": PARABOLA, "contacts": 2}
+    assert jw.Scene(**known).contacts == 2
+    with pytest.raises(ValueError, match=message):
+        jw.Scene(**(known | changes))
+
+
+@pytest.mark.parametrize("profile", [jw.Pipe(0.65, height=0.4), jw.Polygon(ROOF)])
+def test_hollow_objects_need_several_contacts(profile):
+    allowed = "at least 2 for a hollow object, or one with inner corners"
+    with pytest.raises(ValueError, match=f"`contacts` must be {allowed}, got 1"):
+        jw.Scene(jw.Whisker(), profile)
+    assert "up to 2 contacts" in str(jw.Scene(jw.Whisker(), profile, contacts=2))
+
+
+def test_whiskers_in_space_have_one_contact():
+    with pytest.raises(ValueError, match="`contacts` must be 1 in space, got 2"):
+        jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 5.0, 0.0)), contacts=2)
 
 
 def test_a_graph_that_is_not_strictly_convex_above_the_bases_is_rejected_before_compiling():
