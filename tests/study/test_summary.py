@@ -362,3 +362,9 @@ def test_a_study_of_several_contacts_keeps_all_of_them():
     whole = jw.study(several.circles, distance=[0.25], outputs="all", summary=True, control=several.CONTROL)
     assert float(whole.last_contact[0, 0]) == pytest.approx(result.events[-1].control, abs=1e-9)
     assert whole.before_contact_arc.dims == ("distance", "event", "whisker", "contact")
+
+
+def test_fields_of_several_contacts_do_not_change_the_axes_of_a_summary():
+    reactions = {name: np.arange(6.0).reshape(2, 3, 1) for name in ("fx", "fy", "mz")}
+    found = summarise(reactions | {"phase": np.zeros((2, 3, 1, 2), int)}, np.array([0.3, 0.2, 0.1]))
+    np.testing.assert_array_equal(found["max_fx"], [[2.0], [5.0]])
