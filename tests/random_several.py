@@ -16,6 +16,8 @@ STEPS = 60
 SNAPS = jw.EventKind.snap_off, jw.EventKind.snap_through
 AT_ONCE = 1e-9  # lengths between an event and the snap that it causes
 APART = 0.03  # lengths between two objects
+TOP = 1.3  # lengths above the bases: height of objects with corners, out of reach
+BLUNT = 0.05  # least sine of the angle by which the outline turns at a corner
 KINDS = {  # objects, whiskers, support and largest number of contacts
     "two circles, straight, FB": ("circles", 2, "straight", "FB", 2),
     "two circles, straight, FBFB": ("circles", 2, "straight", "FBFB", 2),
@@ -25,6 +27,12 @@ KINDS = {  # objects, whiskers, support and largest number of contacts
     "wave, straight, clamped": ("wave", 1, "straight", "clamped", 2),
     "wave, curved, FB": ("wave", 1, "curved", "FB", 3),
     "wave, cone, FB": ("wave", 1, "cone", "FB", 2),
+    "box, straight, FB": ("boxes", 1, "straight", "FB", 2),
+    "two boxes, curved, clamped": ("boxes", 2, "curved", "clamped", 3),
+    "polygon, straight, clamped": ("polygon", 1, "straight", "clamped", 2),
+    "polygon, curved, FBFB": ("polygon", 1, "curved", "FBFB", 3),
+    "roof, straight, clamped": ("roof", 1, "straight", "clamped", 3),
+    "roof, curved, FB": ("roof", 1, "curved", "FB", 3),
 }
 
 
@@ -49,7 +57,7 @@ def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS) -> Drawn:
     """A random scene."""
     objects, count, whisker, support, contacts = KINDS[kind]
     rod, plain_rod = _rod(whisker, rng)
-    profile, plain_objects = _wave(rng) if objects == "wave" else _ovals(objects, count, rng)
+    profile, plain_objects = MAKERS[objects](objects, count, rng)
     bases, rest = len(support) // 2 if support != "clamped" else 0, 0.2
     stiffness = float(10 ** rng.uniform(1.3, 2.5))
     springs = tuple(laws.PlainSpring(k, k + 1, stiffness, rest) for k in range(bases))
@@ -73,7 +81,7 @@ def _rod(whisker: str, rng: np.random.Generator) -> tuple[jw.Whisker, laws.Rod]:
     return jw.Whisker(bending_stiffness=Cone(taper)), laws.Rod(stiffness=lambda s: (1 - taper * s) ** 4)
 
 
-def _wave(rng: np.random.Generator):
+def _wave(_objects: str, _count: int, rng: np.random.Generator):
     uniform = rng.uniform
     amplitude = float(uniform(0.02, 0.12) * rng.choice([-1, 1]))
     numbers = float(uniform(0.3, 0.5)), amplitude, float(uniform(0.2, 0.6)), float(uniform(0.3, 1.0))
@@ -95,6 +103,41 @@ def _ovals(objects: str, count: int, rng: np.random.Generator):
         return profile, tuple(laws.circle(q, r, at) for q, r, _, at in each)
     profile = tuple(jw.Ellipse(q, a, b, position=at) for q, a, b, at in each)
     return profile, tuple(laws.ellipse(*values) for values in each)
+
+
+def _boxes(_objects: str, count: int, rng: np.random.Generator):
+    width = rng.uniform(0.1, 0.5, count)
+    gap = rng.uniform(0.1, 0.4, count)
+    x = -np.cumsum(gap + width) + width / 2
+    each = [tuple(map(float, own)) for own in zip(rng.uniform(0.2, 0.7, count), width, x, strict=True)]
+    profile = tuple(jw.Box(q, wide, TOP - q, position=at) for q, wide, at in each)
+    return profile, tuple(laws.box(q, wide, TOP - q, at) for q, wide, at in each)
+
+
+def _polygon(_objects: str, _count: int, rng: np.random.Generator):
+    while True:
+        a, b, q, x = (float(rng.uniform(*span)) for span in ((0.15, 0.5), (0.05, 0.4), (0.2, 0.5), (-0.6, 0.0)))
+        turn = np.sort(rng.uniform(-np.pi, 0.0, int(rng.integers(1, 7))))
+        low = np.stack([x + a * np.cos(turn), q + b + b * np.sin(turn)], axis=1)
+        corners = np.concatenate([[(x - 1.2 * a, TOP)], low, [(x + 1.2 * a, TOP)]])
+        side = np.roll(corners, -1, axis=0) - corners
+        behind = np.roll(side, 1, axis=0)
+        turns = behind[:, 0] * side[:, 1] - behind[:, 1] * side[:, 0]
+        if np.all(turns > BLUNT * np.linalg.norm(side, axis=1) * np.linalg.norm(behind, axis=1)):
+            return jw.Polygon(corners), (laws.Outline(corners),)
+
+
+def _roof(_objects: str, _count: int, rng: np.random.Generator):
+    low, x = rng.uniform(0.25, 0.65, 2), float(rng.uniform(-0.6, 0.0))
+    left, right = x - rng.uniform(0.15, 0.7), x + rng.uniform(0.15, 0.7)
+    peak = float(max(low) + rng.uniform(0.03, 0.3))
+    lean = rng.uniform(0.05, 0.4, 2)
+    below = (left, low[0]), (x, peak), (right, low[1])
+    corners = np.array([(left - lean[0], TOP), *below, (right + lean[1], TOP), (x, TOP + 0.3)])
+    return jw.Polygon(corners), (laws.Outline(corners),)
+
+
+MAKERS = {"circles": _ovals, "ellipses": _ovals, "wave": _wave, "boxes": _boxes, "polygon": _polygon, "roof": _roof}
 
 
 def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, float, int, float]]:
@@ -123,7 +166,9 @@ def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, 
 
 def _counts(result: jw.Result, ok: np.ndarray):
     """Contacts that begin or end between neighbouring steps although there is no event."""
-    count = np.sum(np.asarray(result.phase) != laws.FREE, axis=-1)
+    phase = np.asarray(result.phase)
+    # A tip in an inner corner gets there along one side and leaves along another one, and is two contacts only there.
+    count = np.sum(phase != laws.FREE, axis=-1) - np.sum(phase[..., 1:] == laws.TIP, axis=-1)
     events, control = list(result.events), np.asarray(result.control)
     for k in ok:
         if k + 1 >= len(control) or result.status[k + 1] != jw.Status.ok:

@@ -17,6 +17,8 @@ ROD = 1e-11  # relative tolerance of the integration
 POINTS = 2000  # of a shaft, at which its depth in the objects is measured
 FREE, TIP, TANGENTIAL = range(3)  # phases
 SLIGHT = 1e-6  # EI/L^2: contacts that push less are about to begin or to end, and do not hold the whisker
+SHARP = 1e6  # curvature of a corner: of an arc that is small enough for its radius to change nothing
+FLAT = 1e-6  # difference of curvatures below which a shaft lies on a side
 NODES = 160  # of a discrete rod
 UPRIGHT = np.pi / 2  # angle of an unloaded whisker at its base
 
@@ -65,6 +67,55 @@ class Curve(NamedTuple):
         return shape_of(self.g(x) - y, self.slope(x), -one, self.bend(x), 0 * one, 0 * one)
 
 
+def _cross(a, b) -> float:
+    return a[0] * b[1] - a[1] * b[0]
+
+
+class Outline(NamedTuple):
+    """A polygon by its corners, counter-clockwise; inner corners are those at which it turns to the right."""
+
+    corners: np.ndarray
+
+    @property
+    def sides(self) -> tuple[np.ndarray, np.ndarray]:
+        """The vectors along all sides, and their outward normals."""
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        size = np.linalg.norm(along, axis=1)[:, None]
+        return along, np.stack([along[:, 1], -along[:, 0]], axis=1) / size
+
+    def __call__(self, x, y) -> Shape:
+        at, (along, normals) = np.stack([x, y], axis=-1)[..., None, :], self.sides
+        share = np.clip(np.sum((at - self.corners) * along, axis=-1) / np.sum(along**2, axis=1), 0.0, 1.0)
+        away = np.linalg.norm(at - self.corners - share[..., None] * along, axis=-1)
+        # The inside, of which every outward ray crosses an odd number of sides.
+        (low, high), height = np.sort([self.corners[:, 1], (self.corners + along)[:, 1]], axis=0), at[..., 1]
+        flat = along[:, 1] == 0
+        meets = self.corners[:, 0] + (height - self.corners[:, 1]) * along[:, 0] / np.where(flat, 1.0, along[:, 1])
+        crossed = ~flat & (low <= height) & (height < high) & (meets > at[..., 0])
+        inside = np.sum(crossed, axis=-1) % 2 == 1
+        number, off = np.argmin(away, axis=-1), np.min(away, axis=-1)
+        return Shape(np.where(inside, -off, off), normals[number], np.zeros_like(off))
+
+    def touched(self, x: float, y: float, normal: np.ndarray) -> tuple[float, bool]:
+        """How far a contact is from the next place that can push along its normal, and whether that is a corner.
+
+        A side pushes along its own normal, a corner along all those between the normals of its sides.
+        """
+        at, (along, normals) = np.array([x, y]), self.sides
+        found = []
+        for k, corner in enumerate(self.corners):
+            share = np.clip((at - corner) @ along[k] / (along[k] @ along[k]), 0.0, 1.0)
+            aside = np.linalg.norm(normal - normals[k])
+            found.append((max(np.linalg.norm(at - corner - share * along[k]), aside), False))
+            ways = along[[k - 1, k]] / np.linalg.norm(along[[k - 1, k]], axis=1)[:, None]
+            if _cross(*ways) > 0:
+                tangent = np.array([-normal[1], normal[0]])  # on the left of the side before, right of the side after
+                beyond = max(0.0, -_cross(ways[0], tangent), -_cross(tangent, ways[1]))
+                beyond = beyond if tangent @ (ways[0] + ways[1]) > 0 else np.inf
+                found.append((max(np.linalg.norm(at - corner), beyond), True))
+        return min(found)
+
+
 def circle(distance: float, radius: float, position: float = 0.0) -> Oval:
     """A circle by its lowest point."""
     return Oval(position, distance + radius, radius, radius)
@@ -73,6 +124,17 @@ def circle(distance: float, radius: float, position: float = 0.0) -> Oval:
 def ellipse(distance: float, a: float, b: float, position: float = 0.0) -> Oval:
     """An ellipse by its lowest point."""
     return Oval(position, distance + b, a, b)
+
+
+def pipe(radius: float, position: float, height: float) -> Oval:
+    """The inside of a circle by its centre."""
+    return Oval(position, height, radius, radius, hollow=True)
+
+
+def box(distance: float, width: float, height: float, position: float = 0.0) -> Outline:
+    """A box by the centre of its bottom."""
+    left, right, top = position - width / 2, position + width / 2, distance + height
+    return Outline(np.array([(left, top), (left, distance), (right, distance), (right, top)]))
 
 
 def wave(distance: float, amplitude: float, wavelength: float, a: float, position: float = 0.0) -> Curve:
@@ -225,7 +287,10 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
     count, arcs = len(held.contacts), np.linspace(0.0, rod.length, POINTS)
     places, ends = np.array(held.places), [0.0, *(c.arc for c in held.contacts), rod.length]
     found = {
-        "places": float(np.any((places[1:] != FREE) & (places[:-1] == FREE)) or np.any(places[1:] == TIP)),
+        # A tip in an inner corner is two contacts.
+        "places": float(
+            np.any((places[1:] != FREE) & (places[:-1] == FREE) | (places[1:] == TIP) & (places[:-1] != TIP))
+        ),
         "order": max(0.0, *(a - b for a, b in pairwise(ends))),
     }
     if found["order"] > 0:
@@ -239,13 +304,13 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
         "depth": max(depth(one, line) for one in plain.objects),
     }
     for contact, (x, y, angle, _) in zip(held.contacts, there[:count], strict=True):
-        shape = plain.objects[contact.number](np.array(contact.x), np.array(contact.y))
+        one = plain.objects[contact.number]
         into = -float(contact.normal @ [np.cos(angle), np.sin(angle)])
         tip = contact.phase == TIP
         own = {
             "position": max(abs(x - contact.x), abs(y - contact.y)),
-            "surface": abs(float(shape.off)),
-            "normal": float(np.max(np.abs(shape.normal - contact.normal))),
+            "surface": abs(float(one(np.array(contact.x), np.array(contact.y)).off)),
+            "normal": _turned(one, contact),
             "push": max(-contact.force, 0.0),
             "parallel": max(-into, 0.0) if tip else abs(into),
             "tip": abs(contact.arc - rod.length) if tip else 0.0,
@@ -254,9 +319,25 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
     return found
 
 
+def _turned(one: Callable, contact: Contact) -> float:
+    """How far the normal of a contact is from those of its place."""
+    if isinstance(one, Outline):
+        return float(one.touched(contact.x, contact.y, contact.normal)[0])
+    return float(np.max(np.abs(one(np.array(contact.x), np.array(contact.y)).normal - contact.normal)))
+
+
+def _curvature(one: Callable, contact: Contact) -> float:
+    """Curvature of an object at a contact."""
+    if isinstance(one, Outline):
+        return SHARP if one.touched(contact.x, contact.y, contact.normal)[1] else 0.0
+    return float(one(np.array(contact.x), np.array(contact.y)).curvature)
+
+
 def depth(one: Callable, line: Line) -> float:
     """How deep a rod is in an object; between points, where three neighbours have a parabola's peak."""
     inside = -one(line.x, line.y).off
+    if isinstance(one, Outline):
+        return max(float(np.max(inside)), 0.0)  # distances from corners are no parabolas
     a, b, c = inside[:-2], inside[1:-1], inside[2:]
     peak, bend = (b >= a) & (b >= c), a - 2 * b + c
     higher = np.where(peak & (bend < 0), b - (c - a) ** 2 / (8 * np.where(bend < 0, bend, -1.0)), b)
@@ -277,8 +358,7 @@ def _spread(plain: Plain, rod: Rod, contact: Contact, at: np.ndarray) -> float:
     _, _, angle, moment = at
     left = np.array([-np.sin(angle), np.cos(angle)])
     bend = rod.curvature(contact.arc) + moment / rod.stiffness(contact.arc)
-    shape = plain.objects[contact.number](np.array(contact.x), np.array(contact.y))
-    return float(shape.curvature + contact.normal @ left * bend)
+    return _curvature(plain.objects[contact.number], contact) + float(contact.normal @ left * bend)
 
 
 def stability(plain: Plain, state: tuple[Held, ...], nodes: int = NODES) -> float:
@@ -343,7 +423,7 @@ def _variation(plain: Plain, rod: Rod, held: Held, nodes: int) -> tuple[np.ndarr
         moved[[0, 1], [0, 1]] += 1
         normal = contact.normal
         along = np.array([-normal[1], normal[0]])
-        curvature = plain.objects[contact.number](np.array(contact.x), np.array(contact.y)).curvature
+        curvature = _curvature(plain.objects[contact.number], contact)
         second = -mean.T @ ((weight * (normal @ tangent))[:, None] * mean)
         second += curvature * np.outer(along @ moved, along @ moved)
         if contact.phase == TANGENTIAL:
@@ -351,7 +431,11 @@ def _variation(plain: Plain, rod: Rod, held: Held, nodes: int) -> tuple[np.ndarr
             turn = np.zeros(size)
             turn[2 + int(np.argmin(np.abs(s - contact.arc)))] = 1
             slope = normal @ [-sin, cos] * turn + curvature * (along @ [cos, sin]) * (along @ moved)
-            second -= np.outer(slope, slope) / _spread(plain, rod, contact, at)
+            spread = _spread(plain, rod, contact, at)
+            if isinstance(plain.objects[contact.number], Outline) and spread < FLAT:
+                holds.append(slope)  # a straight shaft lies on a side: it cannot turn without being lifted
+            else:
+                second -= np.outer(slope, slope) / spread
         q -= contact.force * second
         holds.append(normal @ moved)
     return q, elastic, np.array(holds).reshape(-1, size)

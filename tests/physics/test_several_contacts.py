@@ -15,14 +15,16 @@ STRIDE = 3  # steps between two stored states that are checked
 FOLD = 1e-3  # stability at a fold, of rods with 160 nodes
 AT_ONCE = 1e-6  # distance of a snap from the event that causes it
 SCENES = 3  # of each kind
+MAKERS = {"circle": laws.circle, "ellipse": laws.ellipse, "cosine": laws.wave, "pipe": laws.pipe}
+# Normals are not stored. Those at corners do not follow from places: random scenes with corners are checked.
+SMOOTH = [name for name, case in CASES.items() if all(o["kind"] in MAKERS for o in case["objects"])]
 
 
 def plain_of(case: dict) -> laws.Plain:
     """A stored case in plain numbers."""
     kappa = case["whiskers"][0]["intrinsic_curvature"]
     rods = tuple(laws.Rod(curvature=lambda s: kappa + 0 * s) for _ in case["whiskers"])
-    makers = {"circle": laws.circle, "ellipse": laws.ellipse, "cosine": laws.wave}
-    objects = tuple(makers[o["kind"]](**{k: v for k, v in o.items() if k != "kind"}) for o in case["objects"])
+    objects = tuple(MAKERS[o["kind"]](**{k: v for k, v in o.items() if k != "kind"}) for o in case["objects"])
     springs = tuple(laws.PlainSpring(*s["between"], s["stiffness"], s["rest_length"]) for s in case["springs"])
     return laws.Plain(rods, objects, springs, case["along_y"] or np.inf, case["turning"] or np.inf)
 
@@ -53,7 +55,7 @@ def stored(name: str):
         yield plain, case["control"][k], held(plain, values, case["contacts"][k])
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", SMOOTH)
 def test_stored_states_obey_all_laws(name):
     most = 0
     for plain, control, state in stored(name):
@@ -62,7 +64,7 @@ def test_stored_states_obey_all_laws(name):
         assert all(spread > 0 for spread in laws.spreads(plain, state))
         assert laws.stability(plain, state) > 0
         most = max(most, sum(len(each.contacts) for each in state))
-    assert most > 1
+    assert most >= min(2, CASES[name]["contacts_at_once"])
 
 
 @pytest.mark.parametrize(
@@ -83,6 +85,36 @@ def test_a_changed_contact_breaks_a_law(change, law):
     inner = inner._replace(**{field: factor * getattr(inner, field)})
     found = laws.violations(plain, control, (whisker._replace(contacts=(inner, outer)),))
     assert found[law] > 1e3 * STORED
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "degrees", "off"),
+    [
+        (0.4, 0.3, -45.0, 0.0),  # at a corner, between the normals of its sides
+        (0.4, 0.3, 0.0, 0.0),
+        (0.4, 0.3, 10.0, np.sin(np.radians(10.0))),  # beyond that of its flank
+        (0.4, 0.3, 135.0, np.inf),  # into the object
+        (0.399, 0.3, -45.0, 1e-3),  # beside the corner
+        (0.399, 0.3, -90.0, 0.0),  # on the bottom, along its normal
+        (0.399, 0.3, -88.0, 1e-3),
+    ],
+)
+def test_a_corner_pushes_between_the_normals_of_its_sides(x, y, degrees, off):
+    turn = np.radians(degrees)
+    found, _ = laws.box(0.3, 0.8, 0.5).touched(x, y, np.array([np.cos(turn), np.sin(turn)]))
+    if np.isinf(off):
+        assert found > 0.1
+    else:
+        assert abs(found - off) < STORED
+
+
+def test_an_inner_corner_pushes_along_the_normals_of_its_sides_only():
+    roof = laws.Outline(np.array(CASES["roof"]["objects"][0]["outline"]))
+    left, right = (np.array([np.sin(turn), -np.cos(turn)]) for turn in (np.arctan2(0.3, 0.7), np.arctan2(-0.3, 0.6)))
+    for normal in (left, right):
+        assert roof.touched(0.0, 0.8, normal)[0] < STORED
+    between = (left + right) / np.linalg.norm(left + right)
+    assert roof.touched(0.0, 0.8, between)[0] > 0.1
 
 
 def test_a_whisker_that_passes_through_an_object_is_noticed():
@@ -109,7 +141,7 @@ def test_a_tip_contact_behind_two_circles_is_not_stable():
     assert laws.stability(plain, after) < -0.01
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", SMOOTH)
 def test_stability_vanishes_at_folds(name):
     case = CASES[name]
     plain, at = plain_of(case), 0.0

@@ -14,6 +14,7 @@ from several_cases import CASES, changed, contacts_of, number_at, scanned, scene
 SIGNAL = 1e-8  # relative to a signal's peak, which is stored with nine decimals
 CONTACT = 1e-8  # positions; forces relative to the largest one
 DERIVATIVE = 1e-6  # relative to the largest one of the same quantity and parameter; two step sizes agree to 1e-8
+SAME = 1e-11  # of one scan in different programs, relative to the largest value: solved states are accurate to rounding
 MODES = 1e-9  # forward against reverse mode, relative to the sum of sizes
 
 FIELDS = "phase", "contact_force", "contact_arc", "contact_x", "contact_y"
@@ -64,6 +65,55 @@ def test_objects_are_numbered():
     for k, step in enumerate(case["contacts"]):
         numbers = [int(n) for n in result.contact_object[k + 1, 0] if n > 0]
         assert numbers == [contact[1] for contact in step][::-1]
+
+
+def test_a_tip_in_an_inner_corner_is_two_contacts():
+    result = scanned("roof")
+    at = np.all(np.asarray(result.phase)[:, 0] == jw.Phase.tip, axis=1)
+    assert np.any(at)
+    force, slope, x, y = (
+        np.asarray(getattr(result, f"contact_{name}"))[at, 0] for name in ("force", "slope", "x", "y")
+    )
+    np.testing.assert_allclose([x, y], [np.full_like(x, 0.0), np.full_like(y, 0.8)], atol=CONTACT)
+    np.testing.assert_allclose(slope, np.tile([np.arctan2(0.3, 0.7), np.arctan2(-0.3, 0.6)], (len(x), 1)))
+    assert np.all(force > 0)
+    sums = np.sum(force * np.sin(slope), axis=1), np.sum(-force * np.cos(slope), axis=1)
+    reactions = np.asarray(result.fx)[at, 0], np.asarray(result.fy)[at, 0]
+    np.testing.assert_allclose(sums, np.negative(reactions), atol=SIGNAL * np.max(force))
+
+
+def test_rejected_steps_are_nan():
+    """The base of a whisker cannot get into the wall of the pipe."""
+    case = CASES["pipe"]
+    beyond = -0.1 - (0.65**2 - 0.4**2) ** 0.5
+    result = jw.scan(scene_of(case), np.array([case["start"], *case["control"][:-1], beyond]))
+    ok = np.asarray(result.status) == jw.Status.ok
+    assert np.all(ok[:-1]) and not ok[-1]
+    for name in ("base_x", "fx", "fy", "mz", "contact_force", "contact_arc", "contact_x", "contact_y"):
+        values = np.asarray(getattr(result, name))
+        assert np.all(np.isnan(values[-1])) and np.all(np.isfinite(values[:-1])), name
+    assert np.all(np.asarray(result.phase)[-1] == jw.Phase.free)
+    assert np.any(np.asarray(result.fx)[-2] != 0)
+
+
+def test_a_scan_alone_compiled_and_in_a_batch_is_the_same():
+    case = CASES["wavy"]
+    control = np.array([case["start"], 0.5, 0.1, -0.1, -0.7, -1.35])
+    distances = 0.4 + jnp.array([0.0, -0.02, 0.03])
+
+    def signals(distance):
+        result = jw.scan(scene_of(changed(case, [["objects", 0, "distance"]], [distance])), control)
+        return result.fx[:, 0], result.contact_force[:, 0], result.phase[:, 0], result.status
+
+    batch, compiled = jax.vmap(signals)(distances), jax.jit(signals)
+    for k, distance in enumerate(distances):
+        alone = signals(distance)
+        assert np.all(alone[-1] == jw.Status.ok) and np.max(np.abs(alone[0])) > 1
+        for other in (compiled(distance), [leaf[k] for leaf in batch]):
+            for own, value in zip(alone[:2], other[:2], strict=True):
+                np.testing.assert_allclose(value, own, atol=SAME * np.max(np.abs(own)))
+            for own, value in zip(alone[2:], other[2:], strict=True):
+                np.testing.assert_array_equal(value, own)
 
 
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case["derivatives"]])

@@ -12,7 +12,7 @@ from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.polygon_chain import PolygonChain
 
 IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
-PROBE = 0.1  # share of a corner's depth
+PROBE = 1e-9  # lengths
 
 
 class PolygonFaces(NamedTuple):
@@ -84,8 +84,7 @@ def at_corner(
     fits = (jnp.abs(off) <= half + IN_CONE) & (k < one.count)
     # A shaft beyond the corner may be on another side of the object. One that meets the corner there is inside, if only
     # just: a point deeper in tells.
-    deeper = PROBE * jnp.abs(gap)
-    inside = nearest_face(faces, x - deeper * out_x, y - deeper * out_y).distance < 0
+    inside = nearest_face(faces, x - PROBE * out_x, y - PROBE * out_y).distance < 0
     return AtCorner(gap, side, one.start[2 * k] + off + half, fits & ((gap > 0) | inside))
 
 
