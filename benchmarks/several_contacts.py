@@ -3,8 +3,8 @@
 python benchmarks/several_contacts.py [scenes] [seed]     default 42 and 0; ten minutes, most of them compilation
 
 Scenes with two and three circles, two ellipses, parabolas with waves, one and two boxes, convex polygons, and roofs
-with an inner corner; straight, curved and conical whiskers; clamped, on FB and on FBFB. Checked are every fifth step, the
-states after all events, and that contacts begin and end at events.
+with an inner corner; straight, curved and conical whiskers; clamped, on FB and on FBFB. Checked are every fifth step,
+the states after all events, and that contacts begin and end at events.
 """
 
 import sys
