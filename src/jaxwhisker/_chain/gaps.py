@@ -26,6 +26,7 @@ TABLE = 72  # points of an object from which the nearest one is looked for
 NEAREST_STEPS = 2
 ENDS = 2e-4  # share of an outline that is left out at both ends
 LOWEST_STEPS = 4
+INSIDE = 1e3  # puts corners that are inside before all others
 BIAS = 2e-10  # lengths by which gaps are changed to decide between corners, and between a corner and the tip
 SHALLOW = 0.05  # lengths: shafts deeper behind a face are on another side of the object
 
@@ -223,7 +224,9 @@ def _past_corners(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -
 
     gap, numbers, side, apart = of_corners(one, of_corner)
     # A shaft that meets a flank touches it all at once: first at the corner that is nearest to the base.
-    k = jnp.argmin(jnp.where(jnp.isfinite(gap), gap - BIAS * numbers[:, 2], FAR))
+    # If the shaft is inside, it has come in past the corner to which it is nearest.
+    order = jnp.where(gap < 0, -gap - INSIDE, gap) - BIAS * numbers[:, 2]
+    k = jnp.argmin(jnp.where(jnp.isfinite(gap), order, FAR))
     found = Candidate(gap[k], numbers[k], jnp.asarray(int(Phase.tangential)), side[k], first + 2 * k)
     return found, jnp.min(apart)
 
