@@ -101,7 +101,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
             can occur, such as that of a straight whisker before one object, needs no search.
         contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
             objects at once, and concave ones, and one object in several places; contact fields of results then have a
-            last axis of contacts, from the tip to the base. Each scan takes longer, about in proportion. Not available
+            last axis of contacts, from the tip to the base. Scans then take several times as long. Not available
             with friction, springs on shafts, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
 
     Raises:
