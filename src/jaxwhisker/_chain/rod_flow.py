@@ -1,8 +1,9 @@
 """Where whiskers come to rest that have lost their stability: the flow of coarse rods at a fixed control.
 
-Each whisker is a chain of rigid links with springs between them. Its drag is that of turning links, and objects push
-back the ends of links in proportion to their depth, and corners the links themselves. Time steps are linearly implicit
-and grow until nothing moves. The contacts in which the rods come to rest are a guess for the exact equations.
+Each whisker is a chain of links with springs between them, along which directions are linear between the middles of
+links. Its drag is that of turning links, and objects push back points of all links in proportion to their depth, and
+corners the links themselves. Time steps are linearly implicit and grow until nothing moves. The contacts in which the
+rods come to rest are a guess for the exact equations.
 """
 
 from typing import NamedTuple
