@@ -60,7 +60,9 @@ def scene_of(case: dict) -> jw.Scene:
     whisker = jw.Whisker() if straight else jw.Whisker(intrinsic_curvature=curvature)
     objects = tuple(map(_object, case["objects"]))
     contacts = 3 if len(objects) == 3 else 2
-    return jw.Scene(whisker, objects if len(objects) > 1 else objects[0], jw.Support(tuple(springs)), contacts=contacts)
+    return jw.Scene(
+        whisker, objects if len(objects) > 1 else next(iter(objects)), jw.Support(tuple(springs)), contacts=contacts
+    )
 
 
 def changed(case: dict, paths: list, values) -> dict:

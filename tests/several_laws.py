@@ -220,11 +220,11 @@ def state_of(state, step: int | None = None) -> tuple[Held, ...]:
     for w, base in enumerate(bases):
         places = tuple(each[0][w].tolist())
         rows = [
-            Contact(phase, *(float(values[w, k]) for values in each[1:]), int(numbers[w, k]))
+            Contact(phase, *(float(values[w, k]) for values in each[1:]), int(numbers[w, k]))  # pyright: ignore
             for k, phase in enumerate(places)
             if phase != FREE
         ]
-        found.append(Held(*base, tuple(rows[::-1]), places))
+        found.append(Held(*base, tuple(rows[::-1]), places))  # pyright: ignore
     return tuple(found)
 
 

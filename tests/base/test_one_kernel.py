@@ -21,7 +21,7 @@ AT = jnp.linspace(1.0, 50.0, 2000)  # more than the bytes that XLA takes for sma
 
 def operations(function):
     """Operations of the entry of a compiled program that may start a kernel."""
-    _, entry = jax.jit(function).lower(AT).compile().as_text().split("ENTRY")
+    _, entry = jax.jit(function).lower(AT).compile().as_text().split("ENTRY")  # pyright: ignore[reportOptionalMemberAccess]
     return [name for name in re.findall(r"= .*? ([a-z\-]+)\(", entry) if name not in ("parameter", "get-tuple-element")]
 
 

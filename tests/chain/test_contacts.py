@@ -52,7 +52,7 @@ def test_an_empty_place_changes_nothing():
 def test_the_last_segment_ends_at_the_base():
     known = with_contacts(2)
     at = one(equations, known)
-    np.testing.assert_allclose([at.base.x, at.base.y], [known.u, 0.0], atol=10 * STORED)
+    np.testing.assert_allclose([at.base.x, at.base.y], np.array([float(known.u), 0.0]), atol=10 * STORED)
     np.testing.assert_allclose(at.own[1], 0.0, atol=10 * STORED)  # the pose in the frame of the drive
     assert not bool(at.backwards)
     turned = known._replace(state=known.state._replace(side=known.state.side * jnp.array([1.0, -1.0])))

@@ -1,5 +1,7 @@
 """Polygons against brute force: their nearest face, whether points are inside, and shafts that run past corners."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -115,7 +117,7 @@ def test_shafts_past_corners(name):
     numbers, shift, turn = map(np.array, zip(*shafts(name), strict=True))
     direction = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     at = xy[numbers] + shift[:, None] * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    found = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
+    found: Any = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
     inside, met = is_inside(name, at), 0
     first, last = sides(name)
     corners = first.tolist()

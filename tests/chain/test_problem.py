@@ -25,7 +25,7 @@ def test_the_problem_does_not_depend_on_units():
     for name in ("length", "bending_stiffness", "profile", "flexibility", "mount"):
         for a, b in zip(jax.tree.leaves(getattr(one, name)), jax.tree.leaves(getattr(other, name)), strict=True):
             np.testing.assert_allclose(b, a, rtol=1e-12, atol=ROUNDING)
-    np.testing.assert_allclose(other.unit, [0.04, 3e-6 / 0.04**2, 3e-6 / 0.04, 0.04], rtol=1e-12)
+    np.testing.assert_allclose(np.array(other.unit), [0.04, 3e-6 / 0.04**2, 3e-6 / 0.04, 0.04], rtol=1e-12)
 
 
 def test_unloaded_bases_are_at_the_rest_lengths():

@@ -1,6 +1,7 @@
 """Frames of a film: the steps of a scan, and the snaps between them."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -153,7 +154,7 @@ def test_contacts_between_two_states_stay_on_their_object():
 
 def test_depth_inside_a_concave_object():
     scene = jw.Scene(jw.Whisker(), (jw.Graph(several.wavy), jw.Parabola(0.2)), contacts=2)
-    result = SimpleNamespace(scene=scene)
+    result: Any = SimpleNamespace(scene=scene)
     wave, parabola = silhouettes_of_scan(result)
     assert not wave.convex and parabola.convex
     hollow, hill = np.array([0.0]), np.array([-np.pi / 6])  # of heights 0.4 and 0.2

@@ -32,7 +32,7 @@ def test_it_is_a_closed_hollow():
     low, high = PIPE.span()
     np.testing.assert_allclose(high - low, 2 * np.pi)
     lowest = PIPE.point(jnp.asarray(PIPE.lowest()))
-    np.testing.assert_allclose([lowest.x, lowest.y], PIPE.vertex(), atol=EXACT)
+    np.testing.assert_allclose([lowest.x, lowest.y], np.array(PIPE.vertex()), atol=EXACT)
     with pytest.raises(NotImplementedError, match="inside a pipe"):
         PIPE.first_touch(1.0, 1.0)
 

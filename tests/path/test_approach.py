@@ -62,4 +62,4 @@ def test_it_stays_within_the_limits():
     np.testing.assert_allclose([start, stop], [0.9 + MARGIN, -0.6 - MARGIN], atol=ROUNDING)
     near = Limits(jnp.asarray(0.9 + MARGIN / 2), LIMITS.end, jnp.asarray(-0.6 - MARGIN / 2))
     _, start, stop = crop(jnp.asarray(-1), path(touches=[True] * 5), near, jnp.asarray(True))
-    np.testing.assert_allclose([float(start), float(stop)], [near.start, near.far], atol=ROUNDING)
+    np.testing.assert_allclose([float(start), float(stop)], [float(near.start), float(near.far)], atol=ROUNDING)

@@ -25,7 +25,7 @@ def plain_of(case: dict) -> laws.Plain:
     kappa = case["whiskers"][0]["intrinsic_curvature"]
     rods = tuple(laws.Rod(curvature=lambda s: kappa + 0 * s) for _ in case["whiskers"])
     objects = tuple(MAKERS[o["kind"]](**{k: v for k, v in o.items() if k != "kind"}) for o in case["objects"])
-    springs = tuple(laws.PlainSpring(*s["between"], s["stiffness"], s["rest_length"]) for s in case["springs"])
+    springs = tuple(laws.PlainSpring(*s["between"], s["stiffness"], s["rest_length"]) for s in case["springs"])  # pyright: ignore
     return laws.Plain(rods, objects, springs, case["along_y"] or np.inf, case["turning"] or np.inf)
 
 

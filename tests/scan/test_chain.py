@@ -62,6 +62,7 @@ def test_free_places_hold_nothing():
 
 def test_objects_are_numbered():
     case, result = CASES["three_circles"], scanned("three_circles")
+    assert result.contact_object is not None
     for k, step in enumerate(case["contacts"]):
         numbers = [int(n) for n in result.contact_object[k + 1, 0] if n > 0]
         assert numbers == [contact[1] for contact in step][::-1]

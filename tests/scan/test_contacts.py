@@ -1,5 +1,7 @@
 """Whiskers with several contacts: their centre lines, and functions that know one contact only."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,10 +53,10 @@ def test_a_single_contact_bends_the_whisker_as_if_it_could_have_no_other():
 
 
 def test_several_contacts_show_in_the_shape_of_fields():
-    result = scanned()
+    result: Any = scanned()
     assert has_several(result) and not has_several(with_one_contact(result))
     example = example_of(result.scene)
-    assert example.contact_object is not None
+    assert example.contact_object is not None  # pyright: ignore
     assert [np.shape(getattr(example, name))[1:] for name in ("fx", "phase", "contact_x", "contact_object")] == [
         (1,),
         (1, 2),

@@ -45,7 +45,7 @@ def own_settings(arguments: Any = None) -> Iterator[None]:
 def _changes(arguments: Any) -> list[AbstractContextManager]:
     """What changes the caller's settings to those that the package needs; mostly nothing."""
     there = _other_device(arguments)
-    changes = [] if there is None else [jax.default_device(there)]
+    changes: list[Any] = [] if there is None else [jax.default_device(there)]
     for (name, value), chosen in zip(NEEDED.items(), _CHOSEN(jax.config), strict=True):
         if chosen != value:
             changes.append(getattr(jax, name)(value))

@@ -22,8 +22,6 @@ class _AbstractPolygon(AbstractProfile):
 
     # Subclasses declare their fields, because the order of the fields is that of their arguments.
 
-    concave: eqx.AbstractVar[bool]
-
     @property
     def has_edges(self):
         return True
@@ -36,14 +34,10 @@ class _AbstractPolygon(AbstractProfile):
     def has_corners(self):
         return True
 
-    @property
-    def is_concave(self):
-        return self.concave
-
     def chain(self) -> PolygonChain:
         """The polygon as a chain of corners and faces."""
         corners = self.corners()
-        return chain(corners, np.asarray(corners.shape[0]), concave=self.concave)
+        return chain(corners, np.asarray(corners.shape[0]), concave=self.is_concave)
 
     def point(self, parameter):
         return self.chain().point(parameter)
@@ -73,10 +67,10 @@ class _AbstractPolygon(AbstractProfile):
         return self.chain().vertex()
 
     def in_unit(self, length):
-        return _filled(self.corners(), concave=self.concave).in_unit(length)
+        return _filled(self.corners(), concave=self.is_concave).in_unit(length)
 
     def _positive(self):
-        return positive(self.corners(), concave=self.concave)
+        return positive(self.corners(), concave=self.is_concave)
 
 
 class Polygon(_AbstractPolygon):
@@ -122,6 +116,10 @@ class Polygon(_AbstractPolygon):
             allowed = "the corners of a polygon that does not cross itself, counter-clockwise, no three of them in line"
             checks.fail("vertices", allowed, corners.tolist())
 
+    @property
+    def is_concave(self):
+        return self.concave
+
     def corners(self):
         return self.vertices
 
@@ -141,6 +139,10 @@ class _Filled(_AbstractPolygon):
     vertices: Corners | Float[np.ndarray, "corners 2"]
     count: Count
     concave: bool = eqx.field(static=True, default=False, kw_only=True)
+
+    @property
+    def is_concave(self):
+        return self.concave
 
     def corners(self):
         return jnp.asarray(self.vertices)
@@ -181,7 +183,6 @@ class Box(_AbstractPolygon):
     width: Scalar
     height: Scalar
     position: Scalar = 0.0
-    concave = False
 
     def __check_init__(self):
         for name in self.__dataclass_fields__:

@@ -183,13 +183,13 @@ def _start_of_several(scene: Scene) -> float:
 
 @Program
 def _last_clear(problem: "ChainProblem") -> Scalar:
-    from jaxwhisker._chain.approach import is_clear, limits_of
+    from jaxwhisker._chain.approach import CLEAR, clearance, limits_of
 
     limits = limits_of(problem, jnp.asarray(jnp.nan))
     if problem.ends is None:
         return limits.start - BEFORE_TOUCH * problem.onwards
     controls = jnp.linspace(limits.start, limits.far, CONTROLS)
-    clear = jax.lax.map(lambda u: is_clear(problem, u), controls, batch_size=16)
+    clear = jax.lax.map(lambda u: clearance(problem, u) > CLEAR, controls, batch_size=16)
     meets = jnp.argmin(clear)  # 0 if all are clear
     return controls[jnp.maximum(meets - 1, 0)]
 

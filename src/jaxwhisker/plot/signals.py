@@ -273,7 +273,7 @@ def compare(
         # Later curves are drawn over earlier ones. Thinner lines leave those visible where both coincide.
         width = 1.8 - 0.9 * k / max(len(results) - 1, 1)
         for contact, values in enumerate(each):  # one curve, unless whiskers may have several contacts
-            style = {"color": colours[k % len(colours)], "linestyle": DASHES[contact % len(DASHES)]}
+            style: dict[str, Any] = {"color": colours[k % len(colours)], "linestyle": DASHES[contact % len(DASHES)]}
             ax.plot(x, values, **style, linewidth=width, label=None if contact else label)
     _finish(ax, systems, over, quantity)
     legend_above(ax, least=1)
