@@ -112,7 +112,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             direction=direction,
             travel=pending.travel,
             pending=pending,
-            flow=ChainFlow(jnp.asarray(0.0), z, start, zero),
+            flow=ChainFlow(jnp.asarray(0.0), z, start, jnp.asarray(-jnp.inf), zero, zero),
             count=zero,
             status=jnp.asarray(int(Status.ok)),
             rate=one,

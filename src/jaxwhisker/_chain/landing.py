@@ -24,6 +24,7 @@ from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
 # Distances of the control behind a loss at which rods flow, dimensionless: coarse rods may still be stable close to it.
 BEYOND = (3e-3, 2e-2, 1e-1)
 SLIPS = 0.02  # along the path, from where a contact slips over an end
+MOST_SNAPS, STILL = 8, 1e-9  # at a control, and by how much this may differ
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
 
 
@@ -32,12 +33,16 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
     pending = march.node(march.point, march.tangent)
     # A contact that slips over an end begins to flow beyond it.
     z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
-    return march.replace(
+    beyond = jnp.where(march.slips, BEYOND[1], BEYOND[0])
+    snaps = jnp.where(march.travel - march.flow.travel < STILL, march.flow.snaps + 1, 0)
+    flowing = march.replace(
         task=jnp.asarray(int(Task.flow)),
-        flow=ChainFlow(jnp.where(march.slips, BEYOND[1], BEYOND[0]), z, march.point.u, jnp.asarray(0)),
+        flow=ChainFlow(beyond, z, march.point.u, march.travel, snaps, jnp.asarray(0)),
         pending=pending,
         slips=jnp.asarray(False),
     )
+    # Whiskers that snap to and fro do not come to rest.
+    return select(snaps > MOST_SNAPS, march.stopped(Status.unsettled), flowing)
 
 
 def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:

@@ -41,6 +41,8 @@ class ChainFlow(NamedTuple):
     beyond: Scalar  # distance of the control behind the loss at which whiskers come to rest
     start: Contacts  # from where they begin to move
     u: Scalar  # the control of the loss
+    travel: Scalar  # of the drive, there
+    snaps: Int[Array, ""]  # so many have happened there before
     tries: Int[Array, ""]
 
 
