@@ -1,7 +1,5 @@
 """Polygons against brute force: their nearest face, whether points are inside, and shafts that run past corners."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +11,7 @@ from jaxwhisker._model.objects import Objects
 from several_cases import CASES
 
 ROUNDING = 1e-12
+TURN = 1e-9  # of directions: cosines and sines of sums of angles
 OUTLINES = {
     "box": [[-0.3, 1.2], [-0.3, 0.4], [0.5, 0.4], [0.5, 1.2]],
     "wedge": [[-0.4, 0.6], [0.1, 0.2], [0.5, 0.6]],
@@ -116,31 +115,37 @@ def test_shafts_past_corners(name):
     faces, xy = faces_of(chain), np.asarray(chain.xy)
     numbers, shift, turn = map(np.array, zip(*shafts(name), strict=True))
     direction = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    at = xy[numbers] + shift[:, None] * np.stack([-direction[:, 1], direction[:, 0]], axis=1)
-    found: Any = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
-    inside, met = is_inside(name, at), 0
+    left = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    at = xy[numbers] + shift[:, None] * left
+    found = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
     first, last = sides(name)
-    corners = first.tolist()
+    corners, along, met = first.tolist(), last - first, set()
     for i, k in enumerate(numbers):
         own = corners.index(xy[k].tolist())
-        before, after = ((last - first)[j] / np.linalg.norm((last - first)[j]) for j in (own - 1, own))
-        # The shaft is parallel to a tangent at the corner if both sides are on its other side.
-        left = np.array([-direction[i, 1], direction[i, 0]])
-        behind, ahead = -left @ before, left @ after
-        touches = behind * ahead > 0 and xy[k].tolist() != INNER.get(name)
-        out = -np.sign(ahead)
-        gap = out * shift[i]
-        if touches and (gap > 0 or inside[i]):
-            met += 1
-            assert bool(found.meets[i])
-            assert abs(float(found.gap[i]) - gap) < ROUNDING
-            tangent = chain.point_on(jnp.asarray(2 * k), found.parameter[i])
-            np.testing.assert_allclose([tangent.x, tangent.y], xy[k], atol=ROUNDING)
-            own_way = float(found.side[i]) * np.array([tangent.cos, tangent.sin])
-            np.testing.assert_allclose(own_way, direction[i], atol=1e-9)
-        else:
-            assert not bool(found.meets[i])
-    assert met > 20
+        # A shaft through the corner has both sides on one side of it, and is outside.
+        behind, ahead = -left[i] @ along[own - 1], left[i] @ along[own]
+        touches = behind * ahead > 0 and corners[own] != INNER.get(name)
+        assert bool(found.meets[i]) == touches, (corners[own], shift[i], turn[i])
+        if not touches:
+            continue
+        gap = -np.sign(ahead) * shift[i]
+        met.add(np.sign(gap))
+        assert abs(float(found.gap[i]) - gap) < ROUNDING
+        tangent = chain.point_on(jnp.asarray(2 * k), found.parameter[i])
+        np.testing.assert_allclose([tangent.x, tangent.y], xy[k], atol=ROUNDING)
+        own_way = float(found.side[i]) * np.array([tangent.cos, tangent.sin])
+        np.testing.assert_allclose(own_way, direction[i], atol=TURN)
+    assert met == {-1.0, 1.0}
+
+
+def test_a_shaft_on_another_side_of_the_object_does_not_meet_a_corner():
+    chain = chain_of("box")
+    faces = faces_of(chain)
+    corner = int(np.argmax(np.sum(np.asarray(chain.xy) * [1.0, -1.0], axis=1)))  # at the lower right
+    for x, meets in ((0.51, True), (0.49, True), (-0.2, True), (-0.31, False)):
+        found = at_corner(chain, faces, jnp.asarray(corner), *map(jnp.asarray, (x, 0.4, 0.0, 1.0)))
+        assert bool(found.meets) == meets, x
+        np.testing.assert_allclose(found.gap, x - 0.5, atol=ROUNDING)
 
 
 def test_a_function_of_all_corners():
