@@ -1,5 +1,7 @@
 """Polygons against brute force: their nearest face, whether points are inside, and shafts that run past corners."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -117,7 +119,7 @@ def test_shafts_past_corners(name):
     direction = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     left = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     at = xy[numbers] + shift[:, None] * left
-    found = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
+    found: Any = jax.vmap(lambda *own: at_corner(chain, faces, *own))(*map(jnp.asarray, (numbers, *at.T, *direction.T)))
     first, last = sides(name)
     corners, along, met = first.tolist(), last - first, set()
     for i, k in enumerate(numbers):

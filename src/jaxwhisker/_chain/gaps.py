@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.polygons import AtFace, at_corner, faces_of, nearest_face, of_corners
+from jaxwhisker._chain.polygons import SHALLOW, AtFace, at_corner, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.shaft import WholeShaft, cell_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.objects import Objects, of_each_object
@@ -28,7 +28,6 @@ ENDS = 2e-4  # share of an outline that is left out at both ends
 LOWEST_STEPS = 4
 INSIDE = 1e3  # puts corners that are inside before all others
 BIAS = 2e-10  # lengths by which gaps are changed to decide between corners, and between a corner and the tip
-SHALLOW = 0.05  # lengths: shafts deeper behind a face are on another side of the object
 
 
 class Candidate(NamedTuple):

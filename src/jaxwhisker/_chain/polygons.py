@@ -13,6 +13,7 @@ from jaxwhisker._model.polygon_chain import PolygonChain
 
 IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 PROBE = 1e-9  # lengths
+SHALLOW = 0.05  # lengths: shafts deeper behind a face or a corner are on another side of the object
 
 
 class PolygonFaces(NamedTuple):
@@ -83,9 +84,12 @@ def at_corner(
     gap = (x - one.xy[k, 0]) * normal_x + (y - one.xy[k, 1]) * normal_y
     fits = (jnp.abs(off) <= half + IN_CONE) & (k < one.count)
     # A shaft beyond the corner may be on another side of the object. One that meets the corner there is inside, if only
-    # just: a point deeper in tells.
+    # just, or it cuts off an acute corner.
     inside = nearest_face(faces, x - PROBE * out_x, y - PROBE * out_y).distance < 0
-    return AtCorner(gap, side, one.start[2 * k] + off + half, fits & ((gap > 0) | inside))
+    depth = jnp.abs(gap) / jnp.maximum(out_x * normal_x + out_y * normal_y, 1e-3)
+    cut = nearest_face(faces, one.xy[k, 0] - depth * out_x, one.xy[k, 1] - depth * out_y).distance < 0
+    meets = fits & ((gap > 0) | inside | (cut & (gap > -SHALLOW)))
+    return AtCorner(gap, side, one.start[2 * k] + off + half, meets)
 
 
 def corner_signs(profile: Objects) -> Int[Array, " pieces"]:
