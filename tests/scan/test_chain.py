@@ -1,5 +1,6 @@
 """Scans of whiskers with several contacts against exact ones: signals, contacts and the derivatives of both."""
 
+from functools import cache
 from types import SimpleNamespace
 
 import jax
@@ -83,38 +84,40 @@ def test_a_tip_in_an_inner_corner_is_two_contacts():
     np.testing.assert_allclose(sums, np.negative(reactions), atol=SIGNAL * np.max(force))
 
 
-def test_rejected_steps_are_nan():
-    """The base of a whisker cannot get into the wall of the pipe."""
-    case = CASES["pipe"]
-    beyond = -0.1 - (0.65**2 - 0.4**2) ** 0.5
-    result = jw.scan(scene_of(case), np.array([case["start"], *case["control"][:-1], beyond]))
-    ok = np.asarray(result.status) == jw.Status.ok
-    assert np.all(ok[:-1]) and not ok[-1]
-    for name in ("base_x", "fx", "fy", "mz", "contact_force", "contact_arc", "contact_x", "contact_y"):
-        values = np.asarray(getattr(result, name))
-        assert np.all(np.isnan(values[-1])) and np.all(np.isfinite(values[:-1])), name
-    assert np.all(np.asarray(result.phase)[-1] == jw.Phase.free)
-    assert np.any(np.asarray(result.fx)[-2] != 0)
+WAVY = np.array([CASES["wavy"]["start"], 0.5, 0.1, -0.1, -0.7])
+DISTANCES = jnp.array([0.4, jnp.nan, 0.38])
+
+
+def at_distance(distance) -> tuple:
+    """Signals, contacts and status of a scan of `wavy` at another distance."""
+    result = jw.scan(scene_of(changed(CASES["wavy"], [["objects", 0, "distance"]], [distance])), WAVY)
+    return result.fx, result.contact_force, result.contact_arc, result.phase, result.status
+
+
+@cache
+def in_a_batch() -> list:
+    """Scans at several distances, of which one is not a number."""
+    return jax.vmap(at_distance)(DISTANCES)
 
 
 def test_a_scan_alone_compiled_and_in_a_batch_is_the_same():
-    case = CASES["wavy"]
-    control = np.array([case["start"], 0.5, 0.1, -0.1, -0.7, -1.35])
-    distances = 0.4 + jnp.array([0.0, -0.02, 0.03])
-
-    def signals(distance):
-        result = jw.scan(scene_of(changed(case, [["objects", 0, "distance"]], [distance])), control)
-        return result.fx[:, 0], result.contact_force[:, 0], result.phase[:, 0], result.status
-
-    batch, compiled = jax.vmap(signals)(distances), jax.jit(signals)
-    for k, distance in enumerate(distances):
-        alone = signals(distance)
-        assert np.all(alone[-1] == jw.Status.ok) and np.max(np.abs(alone[0])) > 1
-        for other in (compiled(distance), [leaf[k] for leaf in batch]):
-            for own, value in zip(alone[:2], other[:2], strict=True):
+    compiled = jax.jit(at_distance)
+    for k in (0, 2):
+        alone = at_distance(float(DISTANCES[k]))
+        assert np.all(np.asarray(alone[-1]) == jw.Status.ok) and np.max(np.abs(alone[0])) > 1
+        for other in (compiled(DISTANCES[k]), [leaf[k] for leaf in in_a_batch()]):
+            for own, value in zip(alone[:3], other[:3], strict=True):
                 np.testing.assert_allclose(value, own, atol=SAME * np.max(np.abs(own)))
-            for own, value in zip(alone[2:], other[2:], strict=True):
+            for own, value in zip(alone[3:], other[3:], strict=True):
                 np.testing.assert_array_equal(value, own)
+
+
+def test_rejected_steps_are_nan():
+    fx, force, arc, phase, status = (leaf[1] for leaf in in_a_batch())
+    assert np.all(np.asarray(status) == jw.Status.invalid)
+    for values in (fx, force, arc):
+        assert np.all(np.isnan(values))
+    assert np.all(np.asarray(phase) == jw.Phase.free)
 
 
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case["derivatives"]])
