@@ -42,8 +42,8 @@ def test_leaves_that_both_trees_share_are_not_selected():
 def test_numbers_of_status_and_kinds_are_those_that_files_hold():
     # Stored results hold these numbers.
     names = ["ok", "invalid", "lost", "unsettled", "not_convex", "too_long", "inexact", "unstable"]
-    names += ["undetermined", "second_contact", "crossing", "at_spring"]
-    assert [status.name for status in Status] == names and list(Status) == list(range(12))
+    names += ["undetermined", "second_contact", "crossing", "at_spring", "too_many_contacts"]
+    assert [status.name for status in Status] == names and list(Status) == list(range(13))
     kinds = ["touch", "tip_to_tangential", "vertex", "tangential_to_tip", "release", "snap_through", "snap_off"]
     kinds += ["stick", "slip", "edge", "bifurcation"]
     assert [kind.name for kind in EventKind] == kinds and list(EventKind) == list(range(11))

@@ -97,7 +97,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         new = NewContact(zero, jnp.zeros(3), zero, one, zero)
         count = sum(3 if one.has_edges else 2 for one in problem.profile.objects)
         unknown = jnp.zeros((problem.length.size, count)), jnp.zeros(problem.length.size)
-        stance = ChainStance(*unknown, jnp.asarray(True), one)
+        stance = ChainStance(*unknown, jnp.asarray(True), jnp.asarray(True), one)
         return MarchOfChain(
             task=jnp.asarray(int(Task.arrive)),
             state=state,
@@ -177,13 +177,15 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         beyond = trial.point.z[:, SLACK] > (1 - AT_BASE) * length
         return [
             (has_passed(self.problem, march, trial), march.stopped(Status.ok)),
+            (~trial.stance.outside, march.stopped(Status.lost)),
             (~trial.stance.opens, march.stopped(Status.not_convex)),
             (jnp.any(tangential & beyond), march.stopped(Status.lost)),
         ]
 
     def written(self, march: MarchOfChain, trial: TrialOfChain, node, loss: Loss):
         # While all whiskers are free, nothing happens between events.
-        return trial.stable & trial.stance.opens & jnp.any(march.state.touches), node
+        sound = trial.stance.opens & trial.stance.outside
+        return trial.stable & sound & jnp.any(march.state.touches), node
 
     def onwards(self, march: MarchOfChain, moved: MarchOfChain, trial: TrialOfChain, factor):
         touching = jnp.any(moved.state.touches)

@@ -44,7 +44,8 @@ class Gaps(NamedTuple):
     """The candidates of a whisker, and its distance from the objects."""
 
     candidates: Candidate  # fields (candidates,)
-    distance: Scalar  # least distance of any point from any object; of touching whiskers, of candidates only
+    distance: Scalar  # least distance of any point from any object
+    base: Scalar  # distance of the base; negative inside an object
 
 
 def gaps_of(profile: Objects, shaft: WholeShaft, reach: Scalar) -> Gaps:
@@ -55,11 +56,16 @@ def gaps_of(profile: Objects, shaft: WholeShaft, reach: Scalar) -> Gaps:
 
     def of_one(one, first):
         is_polygon = isinstance(one, PolygonChain)
-        candidates, distance = _of_polygon(one, first, shaft) if is_polygon else _of_smooth(one, first, shaft, reach)
-        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *candidates), distance
+        found = _of_polygon(one, first, shaft) if is_polygon else _of_smooth(one, first, shaft, reach)
+        candidates, distance, base = found
+        return jax.tree.map(lambda *leaves: jnp.stack(leaves), *candidates), distance, base
 
-    candidates, distance = zip(*of_each_object(profile, of_one), strict=True)
-    return Gaps(jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *candidates), jnp.min(jnp.stack(distance)))
+    candidates, distance, base = zip(*of_each_object(profile, of_one), strict=True)
+    return Gaps(
+        jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *candidates),
+        jnp.min(jnp.stack(distance)),
+        jnp.min(jnp.stack(base)),
+    )
 
 
 class ObjectOutline(NamedTuple):
@@ -100,7 +106,7 @@ def nearest(one: AbstractProfile, outline: ObjectOutline, x: Scalar, y: Scalar) 
 
 def _of_smooth(
     one: AbstractProfile, first: Int[Array, ""], shaft: WholeShaft, reach: Scalar
-) -> tuple[list[Candidate], Scalar]:
+) -> tuple[list[Candidate], Scalar, Scalar]:
     outline = outline_of(one, shaft.x[-1, -1], shaft.y[-1, -1], 1.5 * reach)
     spacing = outline.spacing
     found = jax.vmap(jax.vmap(lambda x, y: nearest(one, outline, x, y)))(shaft.x, shaft.y)
@@ -165,15 +171,15 @@ def _of_smooth(
         jnp.where(along < 0, -1.0, 1.0),
         piece,
     )
-    return [on_shaft, at_tip], jnp.min(gap)
+    return [on_shaft, at_tip], jnp.min(gap), gap[-1, -1]
 
 
-def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -> tuple[list[Candidate], Scalar]:
+def _of_polygon(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) -> tuple[list[Candidate], Scalar, Scalar]:
     faces = faces_of(one)
     near = jax.vmap(jax.vmap(lambda x, y: nearest_face(faces, x, y)))(shaft.x, shaft.y)
     corners, distance = _past_corners(one, first, shaft)
     candidates = [_along_faces(one, first, shaft), _tip_at_face(one, first, shaft, near), corners]
-    return candidates, jnp.minimum(jnp.min(near.distance), distance)
+    return candidates, jnp.minimum(jnp.min(near.distance), distance), jnp.asarray(near.distance)[-1, -1]
 
 
 def _tip_at_face(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft, near: AtFace) -> Candidate:
@@ -261,8 +267,8 @@ def _along_faces(one: PolygonChain, first: Int[Array, ""], shaft: WholeShaft) ->
         t = jax.lax.fori_loop(0, LOWEST_STEPS, step, jnp.ravel(share)[index])
         (x, y), (dx, dy) = cell.point(t), cell.direction(t)
         there = (x - faces.x[k]) * sin - (y - faces.y[k]) * cos
-        some = jnp.ravel(valleys)[index] > -SHALLOW
         place = (x - faces.x[k]) * cos + (y - faces.y[k]) * sin
+        some = (jnp.ravel(valleys)[index] > -SHALLOW) & (place >= 0) & (place <= faces.length[k])
         start = one.start[jnp.minimum(2 * k + 1, one.start.size - 1)]
         return (
             jnp.where(some & faces.touchable[k] & jnp.isfinite(jnp.ravel(valleys)[index]), there, FAR),

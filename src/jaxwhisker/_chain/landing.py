@@ -9,7 +9,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._chain.contacts import ChainState
-from jaxwhisker._chain.march_state import PHASE, RELEASE, SNAP, ChainFlow, MarchOfChain, TrialOfChain, inserted, removed
+from jaxwhisker._chain.march_state import (
+    HIGH,
+    LOW,
+    PHASE,
+    RELEASE,
+    SNAP,
+    ChainFlow,
+    MarchOfChain,
+    TrialOfChain,
+    inserted,
+    removed,
+)
 from jaxwhisker._chain.margins import MARGIN_NOISE, is_full, margins_of, new_contact
 from jaxwhisker._chain.newton import evaluate, of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
@@ -106,7 +117,8 @@ def revised_landing(
     revised = march.replace(point=march.point._replace(z=z), state=state, flow=flow_, pending=pending)
     only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other)
     revised = select(only_deep & full, march.stopped(Status.too_many_contacts), revised)
-    return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep)
+    astray = jnp.any(jnp.minimum(margins[LOW], margins[HIGH]) < -DEEP)  # beyond an end of their piece
+    return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep) | astray
 
 
 def flow_again(march: MarchOfChain) -> MarchOfChain:

@@ -31,6 +31,7 @@ class ChainStance(NamedTuple):
 
     gap: Float[Array, "whiskers candidates"]  # of contacts that may begin
     distance: Float[Array, " whiskers"]  # from the nearest object
+    outside: Bool[Array, ""]  # whether no base is inside an object
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
 

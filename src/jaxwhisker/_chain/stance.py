@@ -48,7 +48,8 @@ def stance_of(
 
     rates = jax.jvp(places, (u,), (jnp.ones_like(u),))[1]
     speed = jnp.sqrt(jnp.max(jnp.maximum(rates[0] ** 2 + rates[1] ** 2, rates[2] ** 2 + rates[3] ** 2)))
-    return ChainStance(gaps.candidates.gap, gaps.distance, jnp.all(open_), speed), gaps.candidates
+    outside = jnp.all(gaps.base > 0)
+    return ChainStance(gaps.candidates.gap, gaps.distance, outside, jnp.all(open_), speed), gaps.candidates
 
 
 def opens(
