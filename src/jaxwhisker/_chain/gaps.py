@@ -23,7 +23,7 @@ from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 
 FAR = jnp.inf
 TABLE = 72  # points of an object from which the nearest one is looked for
-NEAREST_STEPS = 2
+NEAREST_STEPS = 3
 ENDS = 2e-4  # share of an outline that is left out at both ends
 LOWEST_STEPS = 4
 INSIDE = 1e3  # puts corners that are inside before all others
