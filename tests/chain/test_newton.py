@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxwhisker._chain.newton import newton_step, rate_of, residuals, solve_points
+from jaxwhisker._chain.newton import newton_step, residuals, solve_points
 from jaxwhisker._equilibrium.point import Point, at_control
 from several_engine import STORED, problem, with_contacts
 
@@ -42,7 +42,3 @@ def test_the_tangent_is_the_derivative_by_the_control():
     np.testing.assert_allclose(step.tangent.z, slope, rtol=TANGENT, atol=TANGENT * np.max(np.abs(slope)))
     assert float(step.tangent.u) == 1.0
     np.testing.assert_allclose(step.tangent_pose, 0.0, atol=1e-12)  # in the drive's frame, a clamped base does not move
-
-
-def test_the_rate_is_that_of_the_fastest_coordinate():
-    assert float(rate_of(jnp.array([[0.1, -0.7, 0.2]]))) == 0.7

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
@@ -133,8 +133,3 @@ def solve_points(problem: ChainProblem, state: ChainState, condition: PathCondit
     finite = jnp.all(jnp.isfinite(point.z), axis=(-2, -1)) & jnp.isfinite(point.u)
     converged = (solution.state.step_size < tolerance) & finite & ~solution.aux.backwards
     return ChainSolution(point, solution.aux, converged)
-
-
-def rate_of(pose: Float[Array, "whiskers 3"]) -> Scalar:
-    """Largest rate of a coordinate."""
-    return jnp.max(jnp.abs(pose))
