@@ -36,6 +36,6 @@ def test_a_scan_without_friction_remembers_nothing(mechanics, scene):
     solutions: Any = None
     assert mechanics.remembered(None, path, solutions) is None
     assert mechanics.at_nodes(None, None) is None
-    nodes = mechanics.event_nodes(path)
+    nodes = mechanics.event_nodes(problem, path)
     assert path.nodes.state.phase.shape == nodes.whiskers.shape
     assert len(jax.tree.leaves(problem.numbers())) > 0
