@@ -16,6 +16,7 @@ STEPS = 60
 SNAPS = jw.EventKind.snap_off, jw.EventKind.snap_through
 AT_ONCE = 1e-9  # lengths between an event and the snap that it causes
 APART = 0.03  # lengths between two objects
+ROLLED = 1e-3  # lengths: error of distances along the object
 TOP = 1.3  # lengths above the bases: height of objects with corners, out of reach
 BLUNT = 0.05  # least sine of the angle by which the outline turns at a corner
 KINDS = {  # objects, whiskers, support and largest number of contacts
@@ -53,8 +54,8 @@ class Drawn(NamedTuple):
     control: np.ndarray
 
 
-def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS) -> Drawn:
-    """A random scene."""
+def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS, *, friction: bool = False) -> Drawn:
+    """A random scene; with friction, the drive turns back for a while."""
     objects, count, whisker, support, contacts = KINDS[kind]
     rod, plain_rod = _rod(whisker, rng)
     profile, plain_objects = MAKERS[objects](objects, count, rng)
@@ -66,9 +67,15 @@ def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS) -> Drawn:
         "FB": lambda: jw.Support.fb(stiffness, rest),
         "FBFB": lambda: jw.Support.fbfb(stiffness, rest),
     }[support]()
-    scene = jw.Scene(rod, profile, held, contacts=contacts)
-    plain = laws.Plain((plain_rod,) * max(1, bases), plain_objects, springs)
-    return Drawn(scene, plain, np.linspace(1.7, -2.4 - rest * bases, steps))
+    control = np.linspace(1.7, -2.4 - rest * bases, steps)
+    mu = float(rng.uniform(0.1, 0.8)) if friction else None
+    if friction:
+        turn = int(steps * rng.uniform(0.35, 0.65))
+        back = control[turn - steps // 6 : turn][::-1]
+        control = np.concatenate([control[: turn + 1], back, control[turn - steps // 6 + 1 :]])
+    scene = jw.Scene(rod, profile, held, contacts=contacts, friction=mu)
+    plain = laws.Plain((plain_rod,) * max(1, bases), plain_objects, springs, friction=mu or 0.0)
+    return Drawn(scene, plain, control)
 
 
 def _rod(whisker: str, rng: np.random.Generator) -> tuple[jw.Whisker, laws.Rod]:
@@ -158,10 +165,10 @@ def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, 
         values = laws.violations(drawn.plain, control, state)
         if any(held.contacts for held in state) and values["order"] == 0:
             values["spread"] = max(0.0, *(-spread for spread in laws.spreads(drawn.plain, state)), 0.0)
-            if step >= 0 or control not in lost:
+            if (step >= 0 or control not in lost) and not drawn.plain.friction:
                 values["stability"] = max(0.0, -laws.stability(drawn.plain, state))
         found += [(law, control, step, value) for law, value in values.items()]
-    return found + list(_counts(result, ok))
+    return found + list(_slides(result, ok) if drawn.plain.friction else _counts(result, ok))
 
 
 def _counts(result: jw.Result, ok: np.ndarray):
@@ -180,3 +187,25 @@ def _counts(result: jw.Result, ok: np.ndarray):
             own = [e.kind for e in between if w + 1 in e.whiskers]
             change = own.count(jw.EventKind.touch) - own.count(jw.EventKind.release)
             yield "events", float(control[k]), int(k), float(abs(count[k + 1, w] - count[k, w] - change))
+
+
+def _slides(result: jw.Result, ok: np.ndarray):
+    """How far contacts have moved against their slip between neighbouring steps without an event, or while they stick.
+
+    The distance along the object is that along the mean of the slopes, and the angle of the whisker is not far from it.
+    """
+    names = "phase", "slip", "contact_x", "contact_y", "contact_arc", "contact_slope", "base_x", "base_y"
+    phase, slip, x, y, arc, slope, base_x, base_y = (np.asarray(getattr(result, name)) for name in names)
+    control, events = np.asarray(result.control), [event.control for event in result.events]
+    for k in ok:
+        if k + 1 not in ok:
+            continue
+        low, high = sorted(control[[k, k + 1]])
+        if any(low - AT_ONCE <= u <= high + AT_ONCE for u in events):
+            continue
+        ahead = (x[k] - base_x[k][:, None]) * np.cos(slope[k]) + (y[k] - base_y[k][:, None]) * np.sin(slope[k])
+        side, mean = np.where(ahead > 0, 1.0, -1.0), (slope[k] + slope[k + 1]) / 2
+        moved = (x[k + 1] - x[k]) * np.cos(mean) + (y[k + 1] - y[k]) * np.sin(mean) - side * (arc[k + 1] - arc[k])
+        touches = phase[k] != laws.FREE
+        back = np.where(slip[k] == 0, np.abs(moved), -slip[k] * moved) - ROLLED
+        yield "slides", float(control[k]), int(k), float(np.max(np.where(touches, np.maximum(back, 0.0), 0.0)))

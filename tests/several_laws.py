@@ -172,6 +172,7 @@ class Plain(NamedTuple):
     springs: tuple[PlainSpring, ...] = ()
     along_y: float = np.inf  # stiffness of the springs of every base to y = 0
     turning: float = np.inf  # and to the upright
+    friction: float = 0.0  # coefficient
 
 
 class Contact(NamedTuple):
@@ -184,10 +185,27 @@ class Contact(NamedTuple):
     y: float
     slope: float
     number: int  # of the object, from 0
+    normal_part: float | None = None  # of the force, with friction
+    drag: float = 0.0  # its part along the object
+    slip: int = 0
 
     @property
     def normal(self) -> np.ndarray:
         return np.array([np.sin(self.slope), -np.cos(self.slope)])
+
+    @property
+    def along(self) -> np.ndarray:
+        return np.array([np.cos(self.slope), np.sin(self.slope)])
+
+    @property
+    def push(self) -> float:
+        """The part of the force along the normal."""
+        return self.force if self.normal_part is None else self.normal_part
+
+    @property
+    def pushes(self) -> np.ndarray:
+        """The force on the whisker."""
+        return self.push * self.normal + self.drag * self.along
 
 
 class Held(NamedTuple):
@@ -216,11 +234,22 @@ def state_of(state, step: int | None = None) -> tuple[Held, ...]:
     each = [field(name) for name in kinds]
     one = state.contact_object is None
     numbers = np.zeros_like(each[0]) if one else field("contact_object") - 1
+    none = np.zeros_like(each[1])
+    parts = each[1], none, none.astype(int)
+    if state.slip is not None:
+        parts = field("normal_force"), field("friction_force"), field("slip")
     found = []
     for w, base in enumerate(bases):
         places = tuple(each[0][w].tolist())
         rows = [
-            Contact(phase, *(float(values[w, k]) for values in each[1:]), int(numbers[w, k]))  # pyright: ignore
+            Contact(
+                phase,
+                *(float(values[w, k]) for values in each[1:]),  # pyright: ignore
+                int(numbers[w, k]),
+                float(parts[0][w, k]),
+                float(parts[1][w, k]),
+                int(parts[2][w, k]),
+            )
             for k, phase in enumerate(places)
             if phase != FREE
         ]
@@ -242,7 +271,7 @@ def line_of(rod: Rod, held: Held, arcs: np.ndarray) -> tuple[Line, np.ndarray]:
     """The rod at these arc lengths, and at its contacts and its tip: x, y, angle, moment (contacts + 1, 4)."""
     y, at, parts = np.array([held.x, held.y, UPRIGHT + held.angle, -held.mz]), 0.0, [np.zeros((4, 0))]
     inner, there = np.array([-held.fx, -held.fy]), []
-    for end, force in [*((c.arc, c.force * c.normal) for c in held.contacts), (rod.length, np.zeros(2))]:
+    for end, force in [*((c.arc, c.pushes) for c in held.contacts), (rod.length, np.zeros(2))]:
 
         def slope(s, y, inner=inner):
             cos, sin = np.cos(y[2]), np.sin(y[2])
@@ -296,7 +325,7 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
     if found["order"] > 0:
         return found
     line, there = line_of(rod, held, arcs)
-    forces = sum((c.force * c.normal for c in held.contacts), np.zeros(2))
+    forces = sum((c.pushes for c in held.contacts), np.zeros(2))
     size = 1 + sum(abs(c.force) for c in held.contacts)
     found |= {
         "balance": float(np.max(np.abs(forces + np.array([held.fx, held.fy])))) / size,
@@ -311,7 +340,9 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
             "position": max(abs(x - contact.x), abs(y - contact.y)),
             "surface": abs(float(one(np.array(contact.x), np.array(contact.y)).off)),
             "normal": _turned(one, contact),
-            "push": max(-contact.force, 0.0),
+            "push": max(-contact.push, 0.0),
+            "cone": max(abs(contact.drag) - plain.friction * contact.push, 0.0) / size,
+            "slip": abs(contact.drag + contact.slip * plain.friction * contact.push) / size if contact.slip else 0.0,
             "parallel": max(-into, 0.0) if tip else abs(into),
             "tip": abs(contact.arc - rod.length) if tip else 0.0,
         }

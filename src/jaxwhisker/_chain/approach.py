@@ -10,11 +10,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.contacts import ChainState, unused
 from jaxwhisker._chain.march_state import MarchOfChain, TrialOfChain
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.stance import stance_of
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.approach import MARGIN
 from jaxwhisker._path.continuation import Limits
 
@@ -27,8 +26,7 @@ PLACES = np.concatenate([0.05 * np.arange(120), 6.0 * 1.1 ** np.arange(32)])  # 
 
 def all_free(problem: ChainProblem) -> tuple[Float[Array, "rows 3"], ChainState]:
     """The contacts of free whiskers."""
-    rows = problem.rows
-    return jnp.zeros((rows, 3)), ChainState(jnp.full(rows, int(Phase.free)), jnp.ones(rows), jnp.zeros(rows, int))
+    return jnp.zeros((problem.rows, 3)), unused(problem.rows, friction=problem.friction_angle is not None)
 
 
 def clearance(problem: ChainProblem, u: Scalar) -> Float[Array, ""]:

@@ -12,6 +12,11 @@ beyond, and the moment is known wherever the shaft passes:
 
 Each segment is integrated from the contact itself. At its other end, it must meet the next contact and be parallel to
 the object there, or it ends at the base.
+
+With friction, contact forces lean away from the object's normal (see friction.py of the equilibria). The lean of a
+contact that sticks is unknown. Among its numbers it takes the place of what sticking fixes: of the parameter, which
+follows from rolling, and of the slack where a corner of an object sticks to the shaft. A tip in an inner corner cannot
+slip: its force may lean as far as both faces allow, and its numbers are those without friction.
 """
 
 from typing import NamedTuple
@@ -21,6 +26,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._equilibrium.contact import (
     FORCE,
     PARAMETER,
@@ -28,14 +35,17 @@ from jaxwhisker._equilibrium.contact import (
     Base,
     Phase,
     WhiskerAtObject,
+    across_force,
     in_base_frame,
     material_of,
 )
+from jaxwhisker._equilibrium.friction import Friction, rolled, slipping_from
 from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.profile import ContactPoint
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Load, RodState, RodStates, Section, moment
 
+Places = tuple[Float[Array, "*batch contacts"], Float[Array, "*batch contacts"]]  # parameter, beyond: see Friction
 PerContact = Float[Array, "*batch contacts"]
 
 MORE_STEPS = 1.5  # steps of a segment, relative to those of a whole rod: they are shorter near its ends
@@ -49,11 +59,23 @@ class ChainState(NamedTuple):
         PerContact  # +1 where the whisker runs along the object's tangent from base to tip, -1 where it runs against it
     )
     piece: Int[Array, "*batch contacts"]  # of the profile
+    friction: Friction | None = None  # None without friction; a tip in an inner corner does not slip
 
     @property
     def touches(self) -> Bool[Array, "*batch contacts"]:
         """Whether the places are used."""
         return self.phase != Phase.free
+
+    @property
+    def places(self) -> Places | None:
+        """Where contacts began to stick; None without friction."""
+        return None if self.friction is None else self.friction[1:]
+
+    def stuck_at(self, places: Places | None) -> "ChainState":
+        """The state of contacts that began to stick at these places; None without friction."""
+        if self.friction is None or places is None:
+            return self
+        return self._replace(friction=Friction(self.friction.slip, *places))
 
 
 class Segments(NamedTuple):
@@ -64,6 +86,68 @@ class Segments(NamedTuple):
     start: RodState
     load: Load  # on the segment
     arc: PerContact  # length of the segment
+
+
+def unused(rows: int, *, friction: bool) -> ChainState:
+    """Places without contacts."""
+    side = jnp.ones(rows)
+    return ChainState(
+        jnp.full(rows, int(Phase.free)), side, jnp.zeros(rows, int), slipping_from(side) if friction else None
+    )
+
+
+class Held(NamedTuple):
+    """How contacts are held by friction and by corners."""
+
+    sticks: Bool[Array, " contacts"]  # by friction alone
+    at_corner: Bool[Array, " contacts"]  # whether a corner of an object sticks to the shaft
+    pinned: Bool[Array, " contacts"]  # whether a tip is in an inner corner
+
+    @property
+    def rolls(self) -> Bool[Array, " contacts"]:
+        """Whether the lean takes the place of the parameter."""
+        return self.sticks & ~self.at_corner
+
+
+def held_of(profile: Objects, state: ChainState) -> Held:
+    """How contacts are held, with friction."""
+    assert state.friction is not None
+    signs = corner_signs(profile)[jnp.where(state.touches, state.piece, 0)]
+    pinned = (state.phase == Phase.tip) & (signs < 0)
+    sticks = state.touches & (state.friction.slip == 0) & ~pinned
+    return Held(sticks, sticks & (signs > 0), pinned)
+
+
+class ContactNumbers(NamedTuple):
+    """Where contacts are: parameter of the object, slack of the whisker, and the lean of the force."""
+
+    parameter: Float[Array, " contacts"]
+    slack: Float[Array, " contacts"]
+    lean: Float[Array, " contacts"] | None  # None without friction
+
+
+def numbers_of(
+    profile: Objects, friction_angle: Scalar | None, z: Float[Array, "contacts 3"], state: ChainState
+) -> ContactNumbers:
+    """Where contacts are, of one whisker or of all."""
+    parameter, slack, friction = z[:, PARAMETER], z[:, SLACK], state.friction
+    if friction is None or friction_angle is None:
+        return ContactNumbers(parameter, slack, None)
+    held, placeholders = held_of(profile, state), profile.placeholder_parameter
+    assert placeholders is not None
+    # Corners have no length: contacts that do not roll take a smooth piece instead.
+    smooth = 1 if profile.objects[0].has_edges else 0
+    piece = jnp.where(held.rolls, state.piece, smooth)
+    start = jnp.where(held.rolls, friction.parameter, placeholders[0])
+    beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
+    way = jnp.where(held.rolls, state.side * (friction.beyond - beyond), 0.0)
+    rolling = jax.vmap(lambda piece, start, way: rolled(profile.on(piece), start, way))(piece, start, way)
+    slipping = jnp.where(held.pinned, 0.0, friction.slip * friction_angle)
+    return ContactNumbers(
+        jnp.where(held.rolls, rolling, parameter),
+        jnp.where(held.at_corner, friction.beyond, slack),
+        jnp.where(held.at_corner, slack, jnp.where(held.rolls, parameter, slipping)),
+    )
 
 
 def objects_of_body(body: WhiskerAtObject) -> Objects:
@@ -77,15 +161,17 @@ def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainS
     touches, placeholder = state.touches, objects_of_body(body).placeholder_parameter
     assert placeholder is not None
     piece = jnp.where(touches, state.piece, 0)
-    parameter = jnp.where(touches, z[:, PARAMETER], placeholder[0])
+    numbers = numbers_of(objects_of_body(body), body.friction_angle, z, state)
+    parameter = jnp.where(touches, numbers.parameter, placeholder[0])
     at = jax.vmap(body.profile.point_on)(piece, parameter)
     tip = state.phase == Phase.tip
-    angle = jnp.where(tip, -z[:, SLACK], 0.0)
-    beyond = jnp.where(touches, jnp.where(tip, 0.0, z[:, SLACK]), body.length)
+    angle = jnp.where(tip, -numbers.slack, 0.0)
+    beyond = jnp.where(touches, jnp.where(tip, 0.0, numbers.slack), body.length)
     cos, sin = state.side * jnp.cos(angle), jnp.sin(angle)
     direction = at.cos * cos - at.sin * sin, at.sin * cos + at.cos * sin
     force = jnp.where(touches, z[:, FORCE], 0.0)
-    fx, fy = force * at.sin, -force * at.cos
+    across_cos, across_sin = across_force(at, numbers.lean)
+    fx, fy = force * across_sin, -force * across_cos
     load = Load(jnp.cumsum(fx), jnp.cumsum(fy), jnp.cumsum(at.x * fy - at.y * fx))
     arc = jnp.append(beyond[1:], body.length) - beyond
     return Segments(at, beyond, (at.x, at.y, *direction), load, arc)

@@ -6,10 +6,14 @@ from jaxtyping import Array
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free, has_passed, limits_of
+from jaxwhisker._chain.changes import changed_contacts
+from jaxwhisker._chain.contacts import held_of
+from jaxwhisker._chain.friction import changed_slips, come_to_rest, slip_rates, with_changed_slips
 from jaxwhisker._chain.landing import after_flow, flow_again, revised_landing, state_differs, to_snap
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
+    LEAN,
     LOW,
     PHASE,
     RELEASE,
@@ -20,7 +24,6 @@ from jaxwhisker._chain.march_state import (
     MarchOfChain,
     NewContact,
     TrialOfChain,
-    removed,
 )
 from jaxwhisker._chain.margins import (
     MARGIN_NOISE,
@@ -33,16 +36,15 @@ from jaxwhisker._chain.margins import (
     z_before,
 )
 from jaxwhisker._chain.newton import of_whiskers
-from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.trial import solved_trial
-from jaxwhisker._equilibrium.contact import SLACK, Phase
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
 from jaxwhisker._equilibrium.point import Point, along, dot, scale_of, unit
 from jaxwhisker._path.approach import crop
 from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoint, WaysOn
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import first_dip
-from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, select
+from jaxwhisker._path.path import NO_EVENT, Node, Status, select
 from jaxwhisker._path.transitions import FIRST_STEP
 
 LONGEST_STEP = 0.1  # lengths
@@ -53,8 +55,10 @@ ITERATIONS = 60000  # a march that needs more ends as `too_long`
 SAME = 1e-3  # difference of contacts that have not gone anywhere
 TRIES = 6  # of the contacts in which whiskers come to rest
 AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
-OF_ROWS = (RELEASE, PHASE, LOW, HIGH)  # kinds of margins that belong to existing contacts
+OF_ROWS = (RELEASE, PHASE, LOW, HIGH, LEAN)  # kinds of margins that belong to existing contacts
 CLEAR_STEP = 2e-4  # lengths by which free whiskers may move although they might dip into an object
+FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
+MOST_SLIPS = 4  # a contact may change its slip so often at an event, for each combination of the others
 CLOSE = 1e-6  # length of a step within which a contact begins that there is no room for
 
 
@@ -94,6 +98,10 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         nobody, zero, one = jnp.zeros(problem.rows, bool), jnp.asarray(0), jnp.asarray(1.0)
         kind = jnp.asarray(NO_EVENT)
         pending = Node(point, z, still, still, state, state, -jnp.abs(start - stops[0]), kind, nobody)
+        turns = jnp.ones(1)
+        if problem.friction_angle is not None:
+            pending = pending._replace(stop=zero, corner=jnp.asarray(False))
+            turns = jnp.ones(1 + problem.rows)
         new = NewContact(zero, jnp.zeros(3), zero, one, zero)
         count = sum(3 if one.has_edges else 2 for one in problem.profile.objects)
         unknown = jnp.zeros((problem.length.size, count)), jnp.zeros(problem.length.size)
@@ -115,10 +123,13 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             flow=ChainFlow(jnp.asarray(0.0), z, start, jnp.asarray(-jnp.inf), zero, zero),
             count=zero,
             status=jnp.asarray(int(Status.ok)),
-            rate=one,
-            unstable_rate=-one,
+            turns=turns,
+            unstable_turns=-turns,
             touched=jnp.asarray(False),
             slips=jnp.asarray(False),
+            slips_tried=zero,
+            rests=nobody,
+            lead=still,
         )
 
     # A step.
@@ -132,10 +143,10 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
     def moved(self, march: MarchOfChain, trial: TrialOfChain, moved: MarchOfChain) -> MarchOfChain:
         return moved.replace(
             stance=trial.stance,
-            rate=march.drive_rate(trial.tangent),
+            turns=trial.turns,
             unstable_at=jnp.where(march.unstable_at > march.step, march.unstable_at - march.step, jnp.inf),
             # The Illinois rule keeps false position from creeping.
-            unstable_rate=march.unstable_rate / 2,
+            unstable_turns=march.unstable_turns / 2,
         )
 
     # Margins.
@@ -145,8 +156,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def before_loss(self, march: MarchOfChain, trial: TrialOfChain, distance):
         again = jnp.isfinite(march.unstable_at)
-        rate = jnp.where(again, march.rate / 2, march.rate)
-        closer = march.replace(unstable_at=distance, unstable_rate=march.drive_rate(trial.tangent), rate=rate)
+        turns = jnp.where(again, march.turns / 2, march.turns)
+        closer = march.replace(unstable_at=distance, unstable_turns=trial.turns, turns=turns)
         return closer.replace(step=_to_loss(closer))
 
     # The end of a step along the path.
@@ -154,7 +165,14 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
     def accepts(self, march: MarchOfChain, trial: TrialOfChain):
         # A touch behind a loss of stability must not hide it.
         touches = jnp.any(trial.stance.gap + TOUCHING < -MARGIN_NOISE)
-        return trial.converged & ~(touches & ~trial.stable & (march.step > CLOSE)), jnp.inf
+        good = trial.converged & ~(touches & ~trial.stable & (march.step > CLOSE))
+        if march.state.friction is not None:
+            # Without any force, a contact that sticks satisfies the equations with every lean.
+            predicted, force = trial.guess.z[:, FORCE], trial.point.z[:, FORCE]
+            size = jnp.maximum(jnp.abs(predicted), march.point.z[:, FORCE])
+            sticks = held_of(self.problem.profile, march.state).sticks
+            good &= jnp.all(~sticks | (jnp.abs(force - predicted) < FORCE_ERROR * size))
+        return good, jnp.inf
 
     def dip(self, march: MarchOfChain, trial: TrialOfChain, violated):
         straight = dot(march.tangent, trial.tangent, scale_of(march.point.z))
@@ -169,7 +187,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         return Loss(trial.stable, jnp.asarray(march.step < LOSS_BRACKET))
 
     def after_loss(self, march: MarchOfChain, moved: MarchOfChain, trial: TrialOfChain, node, loss):
-        return self.to_snap(march)
+        if march.state.friction is None:
+            return self.to_snap(march)
+        return select(*come_to_rest(self.problem, march, trial), self.to_snap(march))
 
     def ends(self, march: MarchOfChain, trial: TrialOfChain, loss, turned: MarchOfChain):
         tangential = march.state.phase == Phase.tangential
@@ -220,7 +240,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         chord = Point(z - march.point.z, trial.point.u - march.point.u)
         distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
         rates = margin_rates(self.problem, march, self._direction(march, trial))
-        own = jnp.stack([rates[kind] for kind in OF_ROWS])[jnp.clip(target.number - OF_ROWS[0], 0, len(OF_ROWS) - 1)]
+        own = jnp.stack([rates[kind] for kind in OF_ROWS if rates[kind].size > 0])[
+            jnp.clip(target.number - OF_ROWS[0], 0, len(OF_ROWS) - 1)
+        ]
         grows = ~begins & (target.number != AT_STOP) & jnp.any(target.whiskers & (own > 0))
         good = trial.converged & ~grows & (distance > -BEHIND) & (reach <= 1.5 * march.step + 1e-6)
         # The contact that begins must be as it was expected to be.
@@ -232,7 +254,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         )
         ignored = [
             jnp.zeros_like(trial.stance.gap, bool),
-            *((target.number == kind) & target.whiskers for kind in OF_ROWS),
+            *((target.number == kind) & target.whiskers[: rates[kind].size] for kind in OF_ROWS),
             jnp.reshape(target.number == AT_STOP, 1),
         ]
         violated, earlier = first_violated(self.problem, march, trial, reach, ignored)
@@ -260,39 +282,14 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         return [(full & (march.step < CLOSE), ended), (other & ~full, again)], []
 
     def event_node(self, march: MarchOfChain, trial: TrialOfChain, found):
-        problem, target, state, z = self.problem, march.target, trial.state, trial.point.z
-        number, rows = target.number, target.whiskers
-        assert target.limit is not None
-        gone = removed(z, state, rows & (number == RELEASE), problem.contacts)
-        tip, changes = state.phase == Phase.tip, rows & (number == PHASE)
-        signs = corner_signs(problem.profile)
-        at_corner = signs[jnp.where(state.touches, state.piece, 0)] > 0
-        # A corner of an object that slips off the tip, and a tip that slides over a corner.
-        changes &= tip | ~at_corner
-        way = jnp.where(number == LOW, -1, jnp.where(number == HIGH, 1, 0))
-        next_piece = jnp.clip(state.piece + way, 0, signs.size - 1)
-        passes = rows & (way != 0) & jnp.where(tip, signs[next_piece] <= 0, signs[next_piece] >= 0)
-        other = jnp.where(tip, int(Phase.tangential), int(Phase.tip))
-        turned = changes & (target.limit < 0)
-        changed = (
-            z.at[:, SLACK].set(jnp.where(changes, 0.0, z[:, SLACK])),
-            state._replace(
-                phase=jnp.where(changes, other, state.phase),
-                side=jnp.where(turned, -state.side, state.side),
-                piece=jnp.where(passes, next_piece, state.piece),
-            ),
-        )
-        z_after, after = select(number == RELEASE, gone, changed)
-        changed_phase = int(EventKind.tip_to_tangential), int(EventKind.tangential_to_tip)
-        edge = int(EventKind.edge)
-        kinds = jnp.array([int(EventKind.touch), int(EventKind.release), 0, edge, edge, STOP])
-        kinds = kinds.at[PHASE].set(jnp.where(jnp.any(tip & rows), *changed_phase))
+        z_after, after, kind = changed_contacts(self.problem, march, trial)
         node = march.node(trial.point, self._direction(march, trial))
         return jnp.asarray(False), node._replace(
             point=Point(z_after, trial.point.u),
             z_before=z_before(self.problem, march, trial),
             state=after,
-            kind=kinds[number],
+            kind=kind,
+            **({} if after.friction is None else {"corner": march.target.number != AT_STOP}),
         )
 
     def arriving(self, march: MarchOfChain, trial: TrialOfChain, arriving: MarchOfChain):
@@ -310,11 +307,21 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         along_drive = jnp.where(trial.tangent.u * direction < 0, -1.0, 1.0)
         back = ((number == PHASE) & tip) | (number == LOW)
         by_condition = (number == TOUCH) | (number == PHASE) | (number == LOW) | (number == HIGH)
-        return jnp.where(by_condition, jnp.where(back, -1.0, 1.0), along_drive)
+        sign = jnp.where(by_condition, jnp.where(back, -1.0, 1.0), along_drive)
+        if march.state.friction is None:
+            return sign
+        # A contact that begins to slip must do so, and so must changed slips, or their forces must lean less.
+        slips = slip_rates(self.problem, march.state, trial.point.z, trial.tangent.z, -jnp.inf)
+        begins = jnp.sum(jnp.where(march.target.whiskers, slips, 0.0))
+        changes = jnp.sum(march.lead.z * trial.tangent.z) + march.lead.u * trial.tangent.u
+        ahead = jnp.where(march.slips_tried > 0, changes, begins)
+        return jnp.where((march.slips_tried > 0) | (number == LEAN), jnp.where(ahead < 0, -1.0, 1.0), sign)
 
     def leaving(self, march: MarchOfChain, trial: TrialOfChain, onwards: MarchOfChain, sign):
-        onwards = onwards.replace(unstable_rate=jnp.asarray(-1.0))
-        onwards = onwards.replace(rate=onwards.drive_rate(onwards.tangent))
+        slipping = slip_rates(self.problem, onwards.state, onwards.point.z, onwards.tangent.z)
+        turns = jnp.append(onwards.drive_rate(onwards.tangent), slipping)
+        moved = jnp.abs(trial.point.u - march.point.u)
+        onwards = onwards.replace(turns=turns, unstable_turns=jnp.full_like(turns, -1.0), travel=onwards.travel + moved)
         return onwards.replace(step=jnp.minimum(FIRST_STEP, self._clear(onwards)))
 
     def arrived(self, march: MarchOfChain, trial: TrialOfChain, node, falls):
@@ -350,15 +357,23 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         return after_flow(self.problem, march)
 
     def ways_on(self, march: MarchOfChain, onwards: MarchOfChain, node, trial: TrialOfChain, falls):
-        del node, falls
-        snapped = march.target.number == SNAP
-        return WaysOn([(snapped & ~trial.stable, march.stopped(Status.unsettled))], onwards, jnp.asarray(True))
+        problem, tried = self.problem, march.slips_tried
+        unsettled = (march.target.number == SNAP) & ~trial.stable, march.stopped(Status.unsettled)
+        if march.state.friction is None:
+            return WaysOn([unsettled], onwards, jnp.asarray(True))
+        changed, slip = changed_slips(problem, march, node.point, node.leaving, falls)
+        changed &= ~march.slips
+        retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
+        exhausted = changed & (tried > MOST_SLIPS**problem.rows), march.stopped(Status.undetermined)
+        onwards = onwards.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
+        return WaysOn([exhausted, (changed, retry), unsettled], onwards, (tried == 0) | ~changed)
 
 
 def _to_loss(march: MarchOfChain) -> Scalar:
     """Length of the step that is expected to reach the loss of stability."""
-    share = march.rate / (march.rate - march.unstable_rate)
-    share = jnp.where(march.unstable_rate < 0, share, 0.5)
+    known = (march.unstable_turns < 0) & jnp.isfinite(march.turns)
+    share = jnp.where(known, march.turns / (march.turns - march.unstable_turns), jnp.inf)
+    share = jnp.min(share)
     share = jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
     # A last step to the unstable state itself, which false position approaches for ever.
     return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)

@@ -1,20 +1,22 @@
 """Equilibria with several contacts with their derivatives: at a control, and before and after the events of a path."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.implicit import solution_of, without_rule
+from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.contacts import ChainState, Places, held_of, numbers_of
+from jaxwhisker._chain.friction import slip_by_contact
 from jaxwhisker._chain.march_state import removed
 from jaxwhisker._chain.newton import residuals
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.point import Contacts
-from jaxwhisker._path.path import EventKind, Node, is_snap
+from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, is_snap
 
 
 class KnownOfChain(NamedTuple):
@@ -42,6 +44,8 @@ class _KnownEventOfChain(NamedTuple):
     weight: Contacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
     origin: Contacts  # the unknowns from which that sum is measured, apart from derivatives
     on_edge: Float[Array, "2 rows"]  # rows whose parameter is at the beginning and at the end of its piece
+    leaning: Float[Array, " rows"]  # rows whose lean is at its limit: its sign
+    rests: Bool[Array, " rows"]  # rows whose slip comes to rest
 
 
 def _at_event(unknowns: Float[Array, " n"], known: _KnownEventOfChain) -> Float[Array, " n"]:
@@ -52,9 +56,31 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEventOfChain) -> Float[
     # The ends of pieces depend on the numbers of the object.
     ends = problem.profile.ends_on(jnp.where(state.touches, state.piece, 0))
     limits = sum(jnp.sum(jnp.where(at > 0, end, 0.0)) for at, end in zip(known.on_edge, ends, strict=True))
+    if problem.friction_angle is not None:
+        limits += jnp.sum(known.leaning) * problem.friction_angle
+        assert state.friction is not None
+        start = state.friction.parameter + state.side * state.friction.beyond
+        over = jnp.any(known.on_edge > 0, axis=0) & held_of(problem.profile, state).rolls
+        limits -= jnp.sum(jnp.where(over, start, 0.0))
     shift = limits - jax.lax.stop_gradient(limits)
     condition = jnp.where(by_control, control - u, jnp.sum(known.weight * (z - known.origin)) - shift)
+    if problem.friction_angle is not None:
+        slows = jnp.any(known.rests)
+        condition = jnp.where(slows, _slip_rate(problem, z, control, state, known.rests), condition)
     return jnp.append(jnp.ravel(residual), condition)
+
+
+def _slip_rate(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState, rows: Array) -> Float[Array, ""]:
+    """Rate of slip of these contacts, by the control; 0 without any."""
+
+    def equations(z, u):
+        return jnp.ravel(residuals(problem, z, u, state)[0])
+
+    system = jax.jacfwd(equations)(z, u).reshape(z.size, z.size)
+    _, by_control = jax.jvp(lambda u: equations(z, u), (u,), (jnp.ones_like(u),))
+    system = jnp.where(jnp.any(rows), system, jnp.eye(z.size))
+    rate = -jnp.sum(inverse(system) * by_control, axis=-1).reshape(z.shape)
+    return jnp.sum(jnp.where(rows[:, None], slip_by_contact(problem, z, state) * rate, 0.0))
 
 
 class ChainSide(NamedTuple):
@@ -84,13 +110,61 @@ def _event(problem: ChainProblem, node: Node, previous: Node, filled: Array) -> 
     # A snap at a fold has a point of its own; others follow from the event just before.
     caused = snaps & (previous.kind >= 0) & ~is_snap(previous.kind) & (previous.travel == node.travel)
     at = jax.tree.map(lambda a, b: jnp.where(caused, a, b), previous, node)
-    solved_at = _solved_event(problem, at, snaps & ~caused, filled)
+    known = jnp.asarray(False)
+    if problem.friction_angle is not None:
+        # The control of the event before is known, with derivatives, and slips change where that event has led.
+        changes = snaps | (filled & ((node.kind == EventKind.stick) | (node.kind == EventKind.slip)))
+        known = changes & (previous.kind != NO_EVENT) & (previous.travel == node.travel)
+        at = node._replace(point=node.point._replace(u=jnp.where(known, previous.point.u, node.point.u)))
+    solved_at = _solved_event(problem, at, snaps & ~caused & ~known, filled, known)
     u, after = solved_at.u, _if_filled(node.state, filled)
     rests = solved(problem, jnp.where(filled, node.point.z, 0.0), u, after)
+    if problem.friction_angle is not None:
+        # The numbers of contacts mean something else where slips change.
+        same = (node.kind == EventKind.touch) | (node.kind == EventKind.release) | (node.kind < 0)
+        z_after = jnp.where(same, solved_at.after, rests)
+        return u, ChainSide(solved_at.before, u, _if_filled(node.before, filled)), ChainSide(z_after, u, after)
     before = _if_filled(jax.tree.map(lambda a, b: jnp.where(caused, a, b), at.state, node.before), filled)
     z_before = jnp.where(caused, solved_at.after, solved_at.before)
     z_after = jnp.where(snaps, rests, solved_at.after)
     return u, ChainSide(z_before, u, before), ChainSide(z_after, u, after)
+
+
+def after_event(
+    problem: ChainProblem, node: Node, previous: Node, known: Any, linked: Bool[Array, ""], stops: Array
+) -> tuple[Scalar, Places]:
+    """Control of an event and where contacts stick from there on; see AfterEvent of the memory of scans."""
+    new = node.state.places
+    assert new is not None and node.corner is not None and node.stop is not None
+    begins, ends = node.kind == EventKind.touch, node.kind == EventKind.release
+    moved = jax.tree.map(lambda leaf: _moved(leaf, node.whiskers, begins, ends, problem.contacts), known.places)
+    previous = previous._replace(point=previous.point._replace(u=jnp.where(linked, known.control, previous.point.u)))
+    at = node._replace(state=node.state.stuck_at(moved), before=node.before.stuck_at(known.places))
+    u, before, after = _event(problem, at, previous, jnp.asarray(True))
+    here = jax.tree.map(lambda a, b: jnp.where(begins | ends, a, b), _places(problem, after), _places(problem, before))
+    differs = node.corner & ((new[0] != moved[0]) | (new[1] != moved[1]))
+
+    def place(value, here, moved):
+        # In a snap, a contact may also stick later. Its derivatives are then those of where the snap begins.
+        return jnp.where(differs, value + here - jax.lax.stop_gradient(here), moved)
+
+    stop = stops[node.stop] / jnp.asarray(problem.unit.control)
+    u = jnp.where(node.kind == STOP, node.point.u + stop - jax.lax.stop_gradient(stop), u)
+    return u, jax.tree.map(place, new, here, moved)
+
+
+def _places(problem: ChainProblem, side: ChainSide) -> Places:
+    """Where contacts are on the object and on the whisker."""
+    at = numbers_of(problem.profile, problem.friction_angle, side.z, side.state)
+    return at.parameter, jnp.where(side.state.phase == Phase.tangential, at.slack, 0.0)
+
+
+def _moved(leaf: Array, rows: Array, begins: Array, ends: Array, contacts: int) -> Array:
+    """Values of contacts after one of them has begun or ended, in their new rows."""
+    index, row = jnp.arange(rows.size), jnp.argmax(rows)
+    same = index // contacts == row // contacts
+    later, earlier = begins & same & (index > row), ends & same & (index >= row) & (index % contacts < contacts - 1)
+    return leaf[jnp.where(later, index - 1, jnp.where(earlier, index + 1, index))]
 
 
 def _if_filled(state: ChainState, filled: Array) -> ChainState:
@@ -103,26 +177,38 @@ class _SolvedEvent(NamedTuple):
     after: Contacts  # but of a snap
 
 
-def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array) -> _SolvedEvent:
-    """The point of an event that is no snap, or of a fold."""
+def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array, known: Array) -> _SolvedEvent:
+    """The point of an event that is no snap, or of a fold; or the equilibrium before it, if its control is known."""
     before, after = (_if_filled(state, filled) for state in (node.before, node.state))
     touch, released, edge = (node.kind == kind for kind in (EventKind.touch, EventKind.release, EventKind.edge))
     # A touch is solved for as the contact that begins, everything else as what it was before.
     state = jax.tree.map(lambda a, b: jnp.where(touch, a, b), after, before)
     column = jnp.where(touch | released, FORCE, jnp.where(edge, PARAMETER, SLACK))
-    by_control = ~filled | (node.kind < 0)
+    by_control = ~filled | (node.kind < 0) | known
     rows = node.whiskers & ~by_control
-    weight = jnp.where(rows[:, None], (jnp.arange(3) == column).astype(float), 0.0)
-    # At a fold the control is stationary along the path, and a shift along the path does not change its derivatives.
-    weight = jnp.where(folds, node.arriving.z, weight)
-    u = jax.lax.stop_gradient(node.point.u)
+    u = jnp.where(known, node.point.u, jax.lax.stop_gradient(node.point.u))
     z = jax.lax.stop_gradient(jnp.where(touch, node.point.z, node.z_before))
     z = jnp.where(filled, z, 0.0)
+    columns, size = jnp.full(rows.shape, column), jnp.ones(rows.shape)
+    leaning, rests = jnp.zeros(rows.shape), jnp.zeros_like(rows)
+    if problem.friction_angle is not None:
+        held = held_of(problem.profile, state)
+        slips, rests = node.kind == EventKind.slip, rows & (node.kind == EventKind.stick)
+        columns = jnp.where(slips, jnp.where(held.at_corner, SLACK, PARAMETER), columns)
+        columns = jnp.where(edge & held.rolls, SLACK, columns)
+        size = jnp.where(edge & held.rolls, -state.side, size)
+        lean = jnp.where(held.at_corner, z[:, SLACK], z[:, PARAMETER])
+        leaning = jnp.where(rows & slips & ~folds, jnp.sign(lean), 0.0)
+    weight = jnp.where(rows[:, None] & (jnp.arange(3) == columns[:, None]), size[:, None], 0.0)
+    # At a fold the control is stationary along the path, and a shift along the path does not change its derivatives.
+    weight = jnp.where(folds, node.arriving.z, weight)
     low, high = jax.lax.stop_gradient(problem.profile.ends_on(jnp.where(state.touches, state.piece, 0)))
-    at_end = jnp.abs(z[:, PARAMETER] - high) < jnp.abs(z[:, PARAMETER] - low)
+    parameter = jax.lax.stop_gradient(numbers_of(problem.profile, problem.friction_angle, z, state).parameter)
+    at_end = jnp.abs(parameter - high) < jnp.abs(parameter - low)
     on_edge = jnp.stack([rows & edge & ~folds & ~at_end, rows & edge & ~folds & at_end]).astype(float)
-    known = _KnownEventOfChain(KnownOfChain(problem, u, state), jax.lax.stop_gradient(weight), z, on_edge)
-    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), known)
+    at = KnownOfChain(problem, u, state)
+    conditions = _KnownEventOfChain(at, jax.lax.stop_gradient(weight), z, on_edge, leaning, rests & ~folds)
+    unknowns = solution_of(_at_event, jnp.append(jnp.ravel(z), u), conditions)
     # The equations are singular where stability is lost: derivatives of contacts there need second derivatives.
     here = jnp.where(folds, without_rule(z, problem, folds), jnp.reshape(unknowns[:-1], z.shape))
     z_before = jnp.where(touch, removed(here, state, rows, problem.contacts)[0], here)

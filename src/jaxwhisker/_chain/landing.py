@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.contacts import ChainState, numbers_of
+from jaxwhisker._chain.friction import keeps_places, with_slips
 from jaxwhisker._chain.march_state import (
     HIGH,
+    LEAN,
     LOW,
     PHASE,
     RELEASE,
@@ -41,7 +43,8 @@ DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the
 
 def to_snap(march: MarchOfChain) -> MarchOfChain:
     """The state that is about to leave an equilibrium that has lost its stability."""
-    pending = march.node(march.point, march.tangent)
+    corner = {} if march.state.friction is None else {"corner": jnp.asarray(True)}
+    pending = march.node(march.point, march.tangent, **corner)
     # A contact that slips over an end begins to flow beyond it.
     z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
     beyond = jnp.where(march.slips, BEYOND[1], BEYOND[0])
@@ -65,7 +68,8 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         at = evaluate(problem, march.flow.start, march.point.u, before.before)
         pose = problem.rest + problem.displacement(at.load)
         shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
-        return landing_of(problem, u, flow(problem, u, rods_of(problem, shafts, at.load), begins))
+        landing = landing_of(problem, u, flow(problem, u, rods_of(problem, shafts, at.load), begins))
+        return landing._replace(state=keeps_places(problem, before.before, landing.state))
 
     nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))
     landing = jax.lax.cond(any_lane(begins), landed_in, lambda: nowhere)
@@ -109,6 +113,15 @@ def revised_landing(
     tip = state.phase == Phase.tip
     phase = jnp.where(other, jnp.where(tip, int(Phase.tangential), int(Phase.tip)), state.phase)
     turned = z.at[:, SLACK].set(jnp.where(other, 0.0, z[:, SLACK])), state._replace(phase=phase)
+    leans = jnp.zeros_like(pulls)
+    if state.friction is not None:
+        leans = margins[LEAN] < -MARGIN_NOISE
+        lean = jnp.asarray(numbers_of(problem.profile, problem.friction_angle, z, state).lean)
+        slipping = with_slips(problem, z, state, jnp.where(leans, jnp.sign(lean).astype(int), state.friction.slip))
+        places = state.friction._replace(beyond=jnp.where(other, 0.0, state.friction.beyond))
+        turned = turned[0], turned[1]._replace(friction=places)
+        turned = select(jnp.any(other), turned, slipping)
+    other |= leans
     more = inserted(z, state, new, problem.contacts)
     full = is_full(problem, march, new.row)
     z, state = first_case((jnp.any(pulls), less), (jnp.any(other), turned), otherwise=more)

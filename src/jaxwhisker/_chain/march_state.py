@@ -1,18 +1,21 @@
 """What a march of whiskers with several contacts knows, and what it asks about a step."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.contacts import ChainState, unused
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.newton import ChainSolution
+from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.point import Contacts, Point
 from jaxwhisker._path.march_state import MarchState
+from jaxwhisker._path.path import Node
 
-TOUCH, RELEASE, PHASE, LOW, HIGH, AT_STOP, SNAP = range(7)  # kinds of margins, and the arrival after a snap
+TOUCH, RELEASE, PHASE, LOW, HIGH, LEAN, AT_STOP, SNAP = range(8)  # kinds of margins, and the arrival after a snap
 PerRow = Float[Array, " rows"]
 
 
@@ -51,9 +54,17 @@ class MarchOfChain(MarchState):
     """State of a march of whiskers with several contacts."""
 
     slips: Bool[Array, ""]  # whether a contact has come to an end of its piece behind which it cannot go on
-    rate: Scalar  # of the drive along the path, here; halved by the Illinois rule
-    unstable_rate: Scalar  # the rate at a known unstable equilibrium
+    turns: Float[Array, " rates"]  # rates of what must not turn back, here; halved by the Illinois rule
+    unstable_turns: Float[Array, " rates"]  # the same at a known unstable equilibrium
     touched: Bool[Array, ""]
+    slips_tried: Int[Array, ""]  # so many times at the last event, with friction
+    rests: Bool[Array, " rows"]  # contacts whose slip has come to rest here
+    lead: Point  # derivatives of what must grow where slips have been changed
+
+    def node(self, point: Point, tangent: Point, **remembered: Any) -> Node:
+        if self.state.friction is not None:
+            remembered = {"stop": self.goal, "corner": jnp.asarray(False)} | remembered
+        return super().node(point, tangent, **remembered)
 
 
 class TrialOfChain(NamedTuple):
@@ -68,6 +79,7 @@ class TrialOfChain(NamedTuple):
     stop: Scalar  # the control that the drive moves to
     last: Int[Array, ""]  # index of the last stop
     stable: Bool[Array, ""]
+    turns: Float[Array, " rates"]  # rates of what must not turn back: of the drive, and of contacts that slip
 
     @property
     def point(self) -> Point:
@@ -90,8 +102,9 @@ def inserted(z: Contacts, state: ChainState, new: NewContact, contacts: int) -> 
         moved = leaf[source]
         return jnp.where(here[:, None] if leaf.ndim > 1 else here, own, moved)
 
-    numbers = put(z, new.numbers)
-    return numbers, ChainState(*map(put, state, (new.phase, new.side, new.piece)))
+    begun = None if state.friction is None else slipping_from(new.side)
+    own = ChainState(new.phase, new.side, new.piece, begun)
+    return put(z, new.numbers), jax.tree.map(put, state, own)
 
 
 def removed(z: Contacts, state: ChainState, rows: Bool[Array, " rows"], contacts: int) -> tuple[Contacts, ChainState]:
@@ -106,4 +119,4 @@ def removed(z: Contacts, state: ChainState, rows: Bool[Array, " rows"], contacts
         moved = leaf[source]
         return jnp.where(empty[:, None] if leaf.ndim > 1 else empty, nothing, moved)
 
-    return taken(z, 0.0), ChainState(*(taken(own, nothing) for own, nothing in zip(state, (0, 1.0, 0), strict=True)))
+    return taken(z, 0.0), jax.tree.map(taken, state, unused(z.shape[0], friction=state.friction is not None))

@@ -6,10 +6,13 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.contacts import held_of, numbers_of
+from jaxwhisker._chain.friction import lean_margin
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
+    LEAN,
     LOW,
     TOUCH,
     ChainStance,
@@ -26,6 +29,7 @@ from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Ignored, Margins, first_crossed
 
 MARGIN_NOISE = 1e-11
+COINCIDES = 1e-9  # of the parameter: where a touch and an edge are so close, the touch is none of its own
 TOUCHING = 2e-9  # depth of a shaft that counts as a touch: one that has just been released is at 0
 
 
@@ -33,36 +37,47 @@ def margins_of(
     problem: ChainProblem, march: MarchOfChain, z: Array, u: Scalar, stance: ChainStance, stop: Scalar
 ) -> Margins:
     """Margins of all kinds of events."""
-    state = march.state
+    state, numbers = march.state, numbers_of(problem.profile, problem.friction_angle, z, march.state)
     free, tip = state.phase == Phase.free, state.phase == Phase.tip
     outermost = jnp.arange(z.shape[0]) % problem.contacts == 0
     touch = stance.gap + TOUCHING
     release = jnp.where(free, FAR, z[:, FORCE])
-    slack = z[:, SLACK]
+    slack = numbers.slack
     changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
     changes = jnp.where(outermost & ~free, changes, FAR)
-    (low, high), p = piece_ends(problem, march), z[:, PARAMETER]
+    (low, high), p = piece_ends(problem, march), numbers.parameter
     below, above = jnp.where(free, FAR, p - low), jnp.where(free, FAR, high - p)
-    return touch, release, changes, below, above, jnp.reshape(march.direction * (stop - u), 1)
+    lean = lean_margin(problem, march.state, z, numbers.lean)
+    return touch, release, changes, below, above, lean, jnp.reshape(march.direction * (stop - u), 1)
 
 
 def piece_ends(problem: ChainProblem, march: MarchOfChain) -> tuple[Array, Array]:
     """Parameters at which the pieces of all contacts begin and end."""
-    profile = problem.profile
-    return profile.ends_on(jnp.where(march.state.touches, march.state.piece, 0))
+    profile, state = problem.profile, march.state
+    low, high = profile.ends_on(jnp.where(state.touches, state.piece, 0))
+    if problem.friction_angle is None:
+        return low, high
+    wider = jnp.where(held_of(profile, state).pinned, problem.friction_angle, 0.0)
+    return low - wider, high + wider
 
 
 def margin_rates(problem: ChainProblem, march: MarchOfChain, tangent: Point) -> Margins:
     """Rates of the margins along the path, those of forces and slacks of contacts only."""
-    state, slack = march.state, tangent.z[:, SLACK]
+    state, slack, along = march.state, tangent.z[:, SLACK], tangent.z[:, PARAMETER]
+    lean = jnp.zeros(0)
+    if problem.friction_angle is not None:
+        held, leans = held_of(problem.profile, state), march.point.z
+        lean = -jnp.where(held.at_corner, jnp.sign(leans[:, SLACK]) * slack, jnp.sign(leans[:, PARAMETER]) * along)
+        lean = jnp.where(held.sticks, lean, 0.0)
+        slack, along = jnp.where(held.at_corner, 0.0, slack), jnp.where(held.rolls, 0.0, along)
     free, tip = state.phase == Phase.free, state.phase == Phase.tip
     backwards = march.point.z[:, SLACK] < -np.pi / 2
     slack = jnp.where(tip & ~backwards, -slack, slack)
     outermost = jnp.arange(slack.size) % problem.contacts == 0
     still = jnp.zeros_like(march.stance.gap)
     force = jnp.where(free, 0.0, tangent.z[:, FORCE])
-    along = jnp.where(free, 0.0, tangent.z[:, PARAMETER])
-    return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, jnp.zeros(1)
+    along = jnp.where(free, 0.0, along)
+    return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, lean, jnp.zeros(1)
 
 
 def first_violated(
@@ -72,6 +87,10 @@ def first_violated(
     here = margins_of(problem, march, march.point.z, march.point.u, march.stance, trial.stop)
     z = z_before(problem, march, trial)
     there = margins_of(problem, march, z, trial.point.u, trial.stance, trial.stop)
+    if ignored is not None and problem.profile.has_edges:
+        # A straight end that turns about a corner touches the next side where the corner becomes that side.
+        early = jnp.where(begins_at(march), COINCIDES, 0.0)
+        there = tuple(margin - early if kind in (LOW, HIGH) else margin for kind, margin in enumerate(there))
     crossed = first_crossed(here, there, MARGIN_NOISE, problem.rows, (TOUCH, AT_STOP), ignored)
     new = new_contact(problem, march, z, trial.candidates, jnp.minimum(crossed.entry, here[0].size - 1))
     touches = crossed.number == TOUCH
@@ -79,6 +98,9 @@ def first_violated(
     limit = jnp.where((march.state.phase == Phase.tip) & (z[:, SLACK] < -np.pi / 2), -np.pi, 0.0)
     low, high = piece_ends(problem, march)
     limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
+    if problem.friction_angle is not None:
+        lean = numbers_of(problem.profile, problem.friction_angle, z, march.state).lean
+        limit = jnp.where(crossed.number == LEAN, jnp.sign(jnp.asarray(lean)) * problem.friction_angle, limit)
     return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
 
 
@@ -89,7 +111,8 @@ def new_contact(
     count = candidates.gap.shape[1]
     own = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[2:]))[entry], candidates)
     whisker = entry // count
-    phase, slack = (values[whisker] for values in of_whiskers(problem, (march.state.phase, z[:, SLACK])))
+    slack = numbers_of(problem.profile, problem.friction_angle, z, march.state).slack
+    phase, slack = (values[whisker] for values in of_whiskers(problem, (march.state.phase, slack)))
     beyond = jnp.where(phase == Phase.tip, 0.0, slack)
     new = jnp.where(own.phase == Phase.tip, 0.0, own.numbers[SLACK])
     place = jnp.sum((phase != Phase.free) & (beyond < new))

@@ -43,6 +43,7 @@ class ChainProblem(eqx.Module):
     ends: tuple[Scalar, Scalar] | None  # controls at which a bounded motion begins and ends
     valid: Bool[Array, ""]
     unit: Units
+    friction_angle: Scalar | None  # arctan of the friction coefficient; None without friction
     contacts: int = eqx.field(static=True)  # the largest number of contacts of a whisker
 
     def numbers(self) -> "ChainProblem":
@@ -87,7 +88,8 @@ class ChainProblem(eqx.Module):
     def bodies(self, u: Scalar) -> WhiskerAtObject:
         """All whiskers, stacked, at a control."""
         whiskers = self.length, self.bending_stiffness, self.profile, self.rod, self.section
-        return WhiskerAtObject(*whiskers, *self.frames(u))
+        angle = None if self.friction_angle is None else jnp.full_like(self.length, self.friction_angle)
+        return WhiskerAtObject(*whiskers, *self.frames(u), angle)
 
 
 def chain_problem(scene: CanonicalScene, contacts: int) -> ChainProblem:
@@ -117,5 +119,6 @@ def chain_problem(scene: CanonicalScene, contacts: int) -> ChainProblem:
         ends=jax.tree.map(lambda end: jnp.asarray(end, dtype=float) / unit.control, scene.ends),
         valid=valid & flexibility.consistent,
         unit=unit,
+        friction_angle=None if scene.friction is None else jnp.arctan(jnp.asarray(scene.friction, dtype=float)),
         contacts=contacts,
     )

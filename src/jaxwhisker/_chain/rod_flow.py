@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.linear_algebra import positive_definite, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.friction import landed
 from jaxwhisker._chain.gaps import nearest, outline_of
 from jaxwhisker._chain.polygons import at_corner, corner_signs, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
@@ -64,6 +65,8 @@ class CoarseRods(NamedTuple):
     time: Scalar  # length of the next step
     steps: Int[Array, ""]
     rests: Bool[Array, ""]
+    # With friction, by how much objects are stretched along themselves where rods touch them; else None.
+    stretch: Float[Array, "whiskers elements"] | None = None
 
 
 class Landing(NamedTuple):
@@ -184,12 +187,29 @@ def _ends(own: _Links, angle: Float[Array, " links"], pose: Float[Array, "3"]) -
     return base + jnp.cumsum(way, axis=0)
 
 
-def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, pose: Array):
+def _tangents(touch: _TouchingLinks) -> Float[Array, "elements 2"]:
+    """Directions of the object's tangent."""
+    return touch.normal[:, ::-1] * np.array([-1.0, 1.0])
+
+
+def _stretch(problem: ChainProblem, touch: _TouchingLinks, stretch: Array) -> Float[Array, " elements"]:
+    """The stretch that friction holds."""
+    assert problem.friction_angle is not None
+    most = jnp.tan(problem.friction_angle) * jnp.maximum(touch.depth, 0.0)
+    return jnp.clip(stretch, -most, most)
+
+
+def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, pose: Array, stretch: Array | None):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
     ends, size = _ends(own, angle, pose), own.link / SHARES
     touch = _touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
     force = (touch.stiffness * depth)[:, None] * touch.normal
+    sticks = jnp.zeros_like(depth)
+    if stretch is not None:
+        held = _stretch(problem, touch, stretch)
+        force -= (touch.stiffness * held)[:, None] * _tangents(touch)
+        sticks = jnp.where((held == stretch) & (depth > 0), touch.stiffness, 0.0)
     fine = BETWEEN @ angle
     cos, sin = jnp.cos(fine), jnp.sin(fine)
     # Derivatives of the ends of all shares, and of the base, by the angles of the links.
@@ -213,8 +233,9 @@ def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, po
         shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
         return jnp.concatenate([turns(some.arc, way), shifts, jnp.zeros_like(way[:, :1])], axis=1)
 
-    into, along = moves(some.normal), moves(some.normal[:, ::-1] * np.array([-1.0, 1.0]))
+    into, along = moves(some.normal), moves(_tangents(some))
     stiff, bends = jnp.where(some.depth > 0, some.stiffness, 0.0), -some.stiffness * depth[pushed] * some.curvature
+    bends += sticks[pushed]
     second = into.T @ (stiff[:, None] * into) + along.T @ (bends[:, None] * along)
     beyond = jnp.clip(some.arc[:, None] - np.arange(POINTS), 0.0, 1.0).T @ force[pushed]
     geometric = BETWEEN.T @ (size * (beyond[:, 0] * cos + beyond[:, 1] * sin)[:, None] * BETWEEN)
@@ -222,7 +243,15 @@ def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, po
     tight = geometric + jnp.diag(own.joint + next_joint) - jnp.diag(own.joint[1:], 1) - jnp.diag(own.joint[1:], -1)
     second = second.at[:LINKS, :LINKS].add(tight)
     second = second.at[-1, -1].add(own.joint[0]).at[0, -1].add(-own.joint[0]).at[-1, 0].add(-own.joint[0])
-    return jnp.append(by_angle, by_pose), second, ends
+    return jnp.append(by_angle, by_pose), second, ends, touch
+
+
+def _slid(touch: _TouchingLinks, before: Array, after: Array) -> Float[Array, " elements"]:
+    """By how much rods move along objects where they touch them, between two positions of all points."""
+    k = jnp.clip(jnp.ceil(touch.arc).astype(int) - 1, 0, POINTS - 1)
+    moved = jnp.concatenate([jnp.zeros((1, 2)), after - before])
+    share = (touch.arc - k)[:, None]
+    return jnp.sum(_tangents(touch) * ((1 - share) * moved[k] + share * moved[k + 1]), axis=1)
 
 
 def _poses(problem: ChainProblem, springs: Array) -> BasePoses:
@@ -243,7 +272,11 @@ def rods_of(problem: ChainProblem, shafts: WholeShaft, load: BasePoses) -> Coars
     # Angles of the links continue that of the base.
     turn = jnp.round((angle[:, :1] - np.pi / 2) / (2 * np.pi)) * 2 * np.pi
     springs = jnp.sum(problem.flexibility.root * jnp.ravel(load)[:, None], axis=0)
-    return CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
+    # Friction that has acted before stretches the objects again as soon as anything moves.
+    corners = [one.xy.shape[0] for one in problem.profile.objects if isinstance(one, PolygonChain)]
+    elements = POINTS * len(problem.profile.objects) + sum(corners)
+    stretch = None if problem.friction_angle is None else jnp.zeros((problem.length.size, elements))
+    return CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False), stretch)
 
 
 def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array, ""]) -> CoarseRods:
@@ -254,7 +287,8 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
 
     def linearised(rods: CoarseRods):
         pose = _poses(problem, rods.springs)
-        gradient, second, ends = jax.vmap(lambda *own: _system(problem, *own))(each, problem.length, rods.angle, pose)
+        own = each, problem.length, rods.angle, pose, rods.stretch
+        gradient, second, ends, touch = jax.vmap(lambda *own: _system(problem, *own))(*own)
         roots = jnp.reshape(root, (n, 3, -1))
         by_angle = jnp.reshape(np.eye(n)[:, None, :, None] * second[:, :LINKS, None, :LINKS], (size, size))
         mixed = jnp.reshape(jnp.sum(second[:, :LINKS, LINKS:, None] * roots[:, None], axis=2), (size, -1))
@@ -262,10 +296,10 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         by_springs = jnp.eye(root.shape[1]) + jnp.sum(roots[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
         on_springs = rods.springs + jnp.sum(roots * gradient[:, LINKS:, None], axis=(0, 1))
         right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
-        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends
+        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends, touch
 
     def step(rods: CoarseRods) -> CoarseRods:
-        right, system, ends = linearised(rods)
+        right, system, ends, touch = linearised(rods)
         system += jnp.diag(drag / rods.time)
         change = -solve(system, right[:, None])[:, 0]
         angle = rods.angle + jnp.reshape(change[:size], (n, LINKS))
@@ -277,12 +311,17 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         growth = jnp.where(moved < STRIDE / 8, 3.0, jnp.where(moved < STRIDE / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
         rests = good & (moved < REST) & (rods.time >= LONGEST_TIME / 4)
+        stretch = rods.stretch
+        if stretch is not None:
+            held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
+            stretch = jnp.where(good, held + jax.vmap(_slid)(touch, ends, there), stretch)
         return CoarseRods(
             jnp.where(good, angle, rods.angle),
             jnp.where(good, springs, rods.springs),
             jnp.where(good, longer, rods.time / 4),
             rods.steps + 1,
             rests,
+            stretch,
         )
 
     def goes_on(rods: CoarseRods):
@@ -296,9 +335,11 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
     each, room = of_each(problem.bodies(u), _whisker), problem.contacts
     owner = problem.profile.object_of
 
-    def one(own, length, angle, pose):
+    def one(own, length, angle, pose, stretch):
         touch = _touching(problem, own, length, angle, _ends(own, angle, pose))
+        held = None if stretch is None else _stretch(problem, touch, stretch)
         order = jnp.argsort(-jnp.where(touch.depth > 0, touch.arc, -1.0))
+        held = None if held is None else held[order]
         touch = jax.tree.map(lambda leaf: leaf[order], touch)  # from the tip
         depth = jnp.maximum(touch.depth, 0.0)
         active, number = depth * touch.stiffness > LEAST_FORCE, owner(touch.piece)
@@ -326,16 +367,20 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
             slack = jnp.where(at_tip, -jnp.arctan2(into, jnp.abs(along)), mean)
             numbers = jnp.stack([total, touch.parameter[deepest], slack])
             phase = jnp.where(at_tip, int(Phase.tip), int(Phase.tangential))
+            pulled = 0.0 if held is None else jnp.sum(jnp.where(group == k, touch.stiffness * held, 0.0))
             return (
                 jnp.where(some, numbers, 0.0),
                 jnp.where(some, phase, int(Phase.free)),
                 jnp.where(along < 0, -1.0, 1.0),
                 jnp.where(some, touch.piece[deepest], 0),
+                jnp.arctan(pulled / jnp.where(some, total, 1.0)),
             )
 
         return *jax.vmap(of_group)(jnp.arange(room)), jnp.sum(begins)
 
     signs = corner_signs(problem.profile)
-    z, phase, side, piece, count = jax.vmap(one)(each, problem.length, rods.angle, _poses(problem, rods.springs))
-    state = ChainState(jnp.ravel(phase), jnp.ravel(side), jnp.ravel(piece))
-    return Landing(jnp.reshape(z, (-1, 3)), state, rods.rests, jnp.any(count > room))
+    given = each, problem.length, rods.angle, _poses(problem, rods.springs), rods.stretch
+    *contacts, count = jax.vmap(one)(*given)
+    z, phase, side, piece, lean = (jnp.reshape(leaf, (-1, *leaf.shape[2:])) for leaf in contacts)
+    z, state = landed(problem, z, ChainState(phase, side, piece), lean)
+    return Landing(z, state, rods.rests, jnp.any(count > room))

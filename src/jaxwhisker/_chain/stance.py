@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, chain_of, objects_of_body
+from jaxwhisker._chain.contacts import ChainState, chain_of, numbers_of, objects_of_body
 from jaxwhisker._chain.gaps import Candidate, Gaps, gaps_of
 from jaxwhisker._chain.march_state import ChainStance
 from jaxwhisker._chain.newton import of_whiskers
@@ -61,7 +61,8 @@ def opens(
     piece = jnp.where(state.touches, state.piece, 0)
     placeholder = objects_of_body(body).placeholder_parameter
     assert placeholder is not None
-    parameter = jnp.where(state.touches, z[:, 1], placeholder[0])
+    parameter = numbers_of(objects_of_body(body), body.friction_angle, z, state).parameter
+    parameter = jnp.where(state.touches, parameter, placeholder[0])
 
     def bend(piece, p):
         rate = jax.jvp(lambda p: body.profile.point_on(piece, p), (p,), (jnp.ones_like(p),))[1]

@@ -5,17 +5,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.march_state import HIGH, LOW, PHASE, RELEASE, TOUCH, MarchOfChain, TrialOfChain, inserted
+from jaxwhisker._chain.contacts import numbers_of
+from jaxwhisker._chain.friction import RATE_NOISE, by_friction, is_light, slip_rates
+from jaxwhisker._chain.march_state import HIGH, LEAN, LOW, PHASE, RELEASE, TOUCH, MarchOfChain, TrialOfChain, inserted
 from jaxwhisker._chain.newton import ChainSolution, of_whiskers, solve_points
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.shaft import BaseAt, point_at
 from jaxwhisker._chain.stance import bases_of, stance_of
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, of_each
-from jaxwhisker._equilibrium.point import PathCondition, along, at_arc_length, dot, scale_of, unit
+from jaxwhisker._equilibrium.point import PathCondition, along, at_arc_length, at_force, dot, scale_of, unit
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import select
-
-RATE_NOISE = 1e-9
 
 
 def solved_trial(
@@ -31,7 +31,7 @@ def solved_trial(
     more = inserted(guess.z, march.state, target.first, problem.contacts)
     z, state = select(begins, more, (guess.z, march.state))
     guess = guess._replace(z=z)
-    solution = solve_points(problem, state, condition_of(march, stop), guess)
+    solution = solve_points(problem, state, condition_of(problem, march, stop), guess)
     point, newton = solution.point, solution.newton
     tangent, length = unit(newton.tangent, point.z)
     stance, candidates = stance_of(problem, point.u, newton.pose, point.z, state)
@@ -40,25 +40,38 @@ def solved_trial(
     stable = begins | (march.direction * forwards * tangent.u > 0)
     onwards = gap_grows(problem, march, solution, jnp.sign(tangent.u) * march.direction / length)
     arrives = (onwards | (target.number != RELEASE)) & ~march.slips
-    stable = jnp.where(march.task == Task.arrive, arrives, stable)
-    return TrialOfChain(solution, tangent, stance, candidates, guess, state, stop, jnp.asarray(last), stable)
+    slipping = slip_rates(problem, state, point.z, forwards * tangent.z)
+    turns = jnp.append(march.direction * forwards * tangent.u, slipping)
+    stable = jnp.where(march.task == Task.arrive, arrives, stable & jnp.all(turns[1:] > -RATE_NOISE))
+    return TrialOfChain(solution, tangent, stance, candidates, guess, state, stop, jnp.asarray(last), stable, turns)
 
 
-def condition_of(march: MarchOfChain, stop: Scalar) -> PathCondition:
+def condition_of(problem: ChainProblem, march: MarchOfChain, stop: Scalar) -> PathCondition:
     """The equation of the task."""
     target, none = march.target, jnp.zeros_like(march.point.z)
     locating = march.task == Task.event
     assert target.limit is not None
-    of_force = (target.number == TOUCH) | ((target.number == RELEASE) & locating)
-    of_slack, of_parameter = target.number == PHASE, (target.number == LOW) | (target.number == HIGH)
-    rows = jnp.where(target.number == TOUCH, jnp.arange(none.shape[0]) == target.first.row, target.whiskers)
-    by_control = ~of_force & ~of_slack & ~of_parameter
-    weight = none.at[:, FORCE].set(rows * of_force).at[:, SLACK].set(rows * of_slack)
-    weight = weight.at[:, PARAMETER].set(rows * of_parameter)
-    z0 = none.at[:, SLACK].set(jnp.where(of_slack & locating, target.limit, 0.0))
-    z0 = z0.at[:, PARAMETER].set(jnp.where(of_parameter & rows.astype(bool), target.limit, 0.0))
+    touches, ends = target.number == TOUCH, (target.number == LOW) | (target.number == HIGH)
+    of_force = touches | ((target.number == RELEASE) & locating)
+    of_slack, of_lean = target.number == PHASE, (target.number == LEAN) & locating
+    rows = jnp.where(touches, jnp.arange(none.shape[0]) == target.first.row, target.whiskers)
+    by_control = ~of_force & ~of_slack & ~ends & ~of_lean
+    column = jnp.where(of_force, FORCE, jnp.where(of_slack, SLACK, PARAMETER))
+    limit = jnp.where(of_force | (of_slack & ~locating), 0.0, target.limit)
+    number, size = jnp.full_like(march.state.piece, column), jnp.ones(none.shape[0])
+    if problem.friction_angle is not None:
+        at = by_friction(problem, march, of_lean, ends)
+        number, size = jnp.where(at.changes, at.column, number), jnp.where(at.changes, at.size, size)
+        limit = jnp.where(at.changes, at.limit, limit)
+        by_control |= (march.task == Task.arrive) & (march.slips_tried > 0)
+    weight = jnp.where((rows & ~by_control)[:, None], size[:, None] * (jnp.arange(3) == number[:, None]), 0.0)
+    z0 = jnp.where(weight != 0, limit[:, None], 0.0)
     u = jnp.where(locating, stop, march.point.u)
     at_event = PathCondition(weight, z0, by_control.astype(float), u, none[:, 0])
+    if problem.friction_angle is not None:
+        # A contact that sticks from its first touch is solved for where its force first has a direction.
+        starts = is_light(problem, march.state, march.point.z) & (march.task == Task.arrive)
+        at_event = select(jnp.any(starts), at_force(starts, march.point.z), at_event)
     ahead = at_arc_length(march.point, march.tangent, march.step)
     return select(march.task != Task.advance, at_event, ahead)
 
@@ -67,8 +80,9 @@ def gap_grows(problem: ChainProblem, march: MarchOfChain, solution: ChainSolutio
     """Whether the contact that has just been released opens as the drive moves on."""
     node, row = march.pending, jnp.argmax(march.target.whiskers)
     whisker = row // problem.contacts
-    slack = jnp.where(node.before.phase[row] == Phase.tip, 0.0, node.z_before[row, SLACK])
-    at = problem.profile.point_on(node.before.piece[row], node.z_before[row, 1])
+    numbers = numbers_of(problem.profile, problem.friction_angle, node.z_before, node.before)
+    slack = jnp.where(node.before.phase[row] == Phase.tip, 0.0, numbers.slack[row])
+    at = problem.profile.point_on(node.before.piece[row], numbers.parameter[row])
     newton = solution.newton
 
     def position(z, u, pose):

@@ -129,10 +129,10 @@ class Scene(AbstractScene, metaclass=_OfObject):
         allowed = "a Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut or Tilted, or a tuple of these"
         checks.instance("profile", self.profile, AbstractProfile, allowed)
         _check_sensor(self.whisker, self.support, self.motion, self.friction)
-        if self.friction is not None and self.profile.has_edges:
+        if self.friction is not None and self.profile.has_edges and self.contacts == 1:
             raise ValueError(
-                "`friction` must be None for an object with edges: how a contact slips over an edge is not modelled, "
-                f"got friction {as_text(self.friction)} and {self.profile}."
+                "`friction` must be None for an object with edges, or `contacts` at least 2, which models how contacts "
+                f"slip over edges, got friction {as_text(self.friction)} and {self.profile}."
             )
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         if isinstance(self.rod, ClosedForm) and not all(w.uniform for w in self.whiskers):
@@ -155,7 +155,6 @@ class Scene(AbstractScene, metaclass=_OfObject):
         if self.contacts > MOST_CONTACTS:
             checks.fail("contacts", f"at most {MOST_CONTACTS}", repr(self.contacts))
         unknown = (
-            (self.friction is not None, "friction", "None with several contacts of one whisker"),
             (self.support.on_shafts, "support", "without springs or foundations on shafts for several contacts"),
             (not isinstance(self.rod, Shooting), "rod", "Shooting() for several contacts"),
             (

@@ -190,7 +190,7 @@ def _integrals(
     panel: Panel,
     control: Float[Array, " at"],
     state: State,
-    side: Float[Array, "at whiskers"],
+    side: Float[Array, "at contacts"],
     status: Int[Array, " at"],
 ) -> tuple[Table, Bool[Array, " panels"]]:
     """Work and heats by t, as coefficients of polynomials, and whether all states are known."""
@@ -200,12 +200,14 @@ def _integrals(
     work = jnp.reshape(_power(scene, control, state), (number, POINTS)) * panels.rates_of(panel)
     heat = jnp.zeros((number, POINTS, len(scene.whiskers)))
     if scene.friction is not None:
+        each = number, POINTS, *state.contact_x.shape[1:]
         fields = state.contact_x, state.contact_y, state.contact_arc
-        x, y, arc = (panels.slopes_at_points(leaf.reshape(heat.shape)) for leaf in fields)
+        x, y, arc = (panels.slopes_at_points(leaf.reshape(each)) for leaf in fields)
         others = state.contact_slope, side, state.normal_force, state.slip
-        slope, side, normal, slip = (jnp.reshape(jnp.asarray(leaf), heat.shape) for leaf in others)
+        slope, side, normal, slip = (jnp.reshape(jnp.asarray(leaf), each) for leaf in others)
         slipped = x * jnp.cos(slope) + y * jnp.sin(slope) - side * arc
-        heat = heat_rate(scene.friction, normal, slip, slipped)
+        heats = heat_rate(scene.friction, normal, slip, slipped)
+        heat = heats if heats.ndim == heat.ndim else jnp.sum(heats, axis=-1)  # of all contacts of a whisker
     values = jnp.concatenate([work[..., None], heat], axis=-1)
     table = jnp.where(used[:, None, None], panels.coefficients(values), 0.0)
     return table, ~used | jnp.all(known.reshape(number, POINTS), axis=1)

@@ -9,29 +9,32 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free
-from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.contacts import ChainState, Places, held_of, numbers_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
-from jaxwhisker._chain.implicit import sides_of_events, solved
+from jaxwhisker._chain.implicit import after_event, sides_of_events, solved
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
-from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.contact import FORCE, Phase
 from jaxwhisker._equilibrium.point import Contacts, at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.march import follow, sweeps_of
 from jaxwhisker._path.path import Node, Path, ScanPath, Status
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
+from jaxwhisker._scan.memory import Memory, memory_of, remembered
 from jaxwhisker._scan.plane import spring_lengths_now
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.signals import beyond_phase
+from jaxwhisker._scan.slopes import memory_now
 from jaxwhisker._scan.springs import bases_of, lengths_along_x, suspension
-from jaxwhisker._scan.state import State
+from jaxwhisker._scan.state import FRICTION, State
 from jaxwhisker._scan.steps import interpolate, is_near
 
 EVENTS = 64  # events of one whisker that a scan has room for
@@ -77,24 +80,28 @@ class SeveralContacts(Mechanics):
         return path  # the march knows all contacts
 
     @staticmethod
-    def prepare(pool: Executor, scene: Scene, problem: ChainProblem, stops: int) -> tuple[Path, None]:
-        return follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path, None
+    def prepare(pool: Executor, scene: Scene, problem: ChainProblem, stops: int) -> tuple[Path, Memory | None]:
+        path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
+        return path, memory_of(path)
 
     @staticmethod
     def is_ready(problem: ChainProblem, stops: int) -> bool:
         return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
 
     @staticmethod
-    def memory(problem: ChainProblem, path: Path, stops: Any) -> None:
-        return None
+    def memory(problem: ChainProblem, path: Path, stops: Any) -> Memory | None:
+        if problem.friction_angle is None or not checks.is_traced((problem, stops)):
+            return memory_of(path)
+        return memory_now(SeveralContacts, problem, path, stops)
 
     @staticmethod
-    def remember(problem: ChainProblem, path: Path, stops: Float[Array, " stops"]) -> None:
-        return None
+    def remember(problem: ChainProblem, path: Path, stops: Float[Array, " stops"]) -> Memory | None:
+        return None if problem.friction_angle is None else remembered(after_event, problem, path, stops)
 
     @staticmethod
-    def remembered(memory: None, path: Path | None, solutions: Solutions) -> None:
-        return None
+    def remembered(memory: Memory | None, path: Path | None, solutions: Solutions) -> Places | None:
+        """The places where contacts stick, fields (steps, rows)."""
+        return None if memory is None else jax.tree.map(lambda leaf: leaf[solutions.node], memory.places)
 
     @staticmethod
     def solve(problem, path, index, u, known) -> Solutions:
@@ -117,7 +124,7 @@ class SeveralContacts(Mechanics):
         def one(u: Scalar, z: Contacts, state: ChainState):
             return signals(problem, solved(problem, z, u, state), u, state)
 
-        return jax.vmap(one)(u, solutions.z, solutions.state)
+        return jax.vmap(one)(u, solutions.z, solutions.state.stuck_at(remembered))
 
     @staticmethod
     def checked(problem, solutions, status):
@@ -149,11 +156,13 @@ class SeveralContacts(Mechanics):
 
     @staticmethod
     def at_events(problem, path, memory, at, filled) -> EventSides:
-        return EventSides(*sides_of_events(problem, path.nodes, at, filled))
+        nodes = (path if memory is None else memory.on(path)).nodes
+        return EventSides(*sides_of_events(problem, nodes, at, filled))
 
     @staticmethod
     def event_controls(problem, path, memory, at, filled):
-        control, before, after = sides_of_events(problem, path.nodes, at, filled)
+        nodes = (path if memory is None else memory.on(path)).nodes
+        control, before, after = sides_of_events(problem, nodes, at, filled)
         touched, touches = (
             jnp.any(jnp.reshape(side.state.touches, (at.size, -1, problem.contacts)), axis=2)
             for side in (before, after)
@@ -161,8 +170,8 @@ class SeveralContacts(Mechanics):
         return control, touched & ~touches
 
     @staticmethod
-    def at_nodes(memory: None, at: Any) -> None:
-        return None
+    def at_nodes(memory: Memory | None, at: Any) -> None:
+        return None if memory is None else NotImplemented
 
 
 def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> tuple[State, Scalar, None]:
@@ -172,8 +181,9 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
     touches, touching = each.touches, jnp.any(each.touches, axis=1)
     pose = problem.rest + problem.displacement(at.load)
     here, chain, base = problem.in_scene(u, pose), at.chain, at.base
+    numbers, force = numbers_of(problem.profile, problem.friction_angle, z, state), z[:, FORCE]
     own = of_whiskers(problem, z)
-    wrong = jnp.where(state.touches, beyond_phase(state.phase, z[:, FORCE], z[:, SLACK]), 0.0)
+    wrong = jnp.where(state.touches, beyond_phase(state.phase, force, numbers.slack), 0.0)
 
     def if_touching(values: Array) -> Array:
         return jnp.where(touching, values, 0.0)
@@ -190,7 +200,20 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
         number=number + 1,
     )
     contact = jax.tree.map(lambda leaf: jnp.where(touches, leaf, jnp.zeros_like(leaf)), contact)
-    contact = _apart(problem, each, contact)
+    friction = {}
+    if state.friction is None or numbers.lean is None or problem.friction_angle is None:
+        contact = _apart(problem, each, contact)
+    else:
+        # The force of a tip in an inner corner leans from the nearest normal there. It stays one contact.
+        pinned, p = held_of(problem.profile, state).pinned, numbers.parameter
+        beyond = jnp.where(pinned, p - jnp.clip(p, *problem.profile.ends_on(jnp.where(pinned, state.piece, 0))), 0.0)
+        contact = contact._replace(slope=contact.slope + of_whiskers(problem, beyond))
+        lean = numbers.lean + beyond
+        parts = state.friction.slip, force * jnp.cos(lean) * unit.force, -force * jnp.sin(lean) * unit.force
+        parts = jax.tree.map(lambda leaf: jnp.where(state.touches, leaf, 0), parts)
+        friction = dict(zip(FRICTION, of_whiskers(problem, parts), strict=True))
+        cone = (jnp.abs(lean) - problem.friction_angle) * jnp.minimum(force, 1.0)
+        wrong = jnp.maximum(wrong, jnp.where(state.touches, cone, 0.0))
     values = State(
         base_x=here.x * unit.length,
         base_y=here.y * unit.length,
@@ -205,6 +228,7 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
         contact_y=contact.y,
         phase=contact.phase,
         contact_object=contact.number if len(problem.profile.objects) > 1 else None,
+        **friction,
     )
     scale = jnp.where(jnp.isfinite(u), 1 + jnp.abs(u), jnp.inf)
     largest = jnp.maximum(jnp.max(jnp.abs(residual)) / scale, jnp.max(wrong))

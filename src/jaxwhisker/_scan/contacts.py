@@ -54,7 +54,11 @@ def past_contacts(
         s: arc lengths from the base.
     """
     start, load = at_base(base_of(at), (at.fx, at.fy, at.mz))
-    force_x, force_y = at.contact_force * jnp.sin(at.contact_slope), -at.contact_force * jnp.cos(at.contact_slope)
+    cos, sin = jnp.cos(at.contact_slope), jnp.sin(at.contact_slope)
+    force_x, force_y = at.contact_force * sin, -at.contact_force * cos
+    if at.normal_force is not None and at.friction_force is not None:
+        force_x = at.normal_force * sin + at.friction_force * cos
+        force_y = at.friction_force * sin - at.normal_force * cos
     own = jnp.stack([force_x, force_y, at.contact_x * force_y - at.contact_y * force_x])
     # Steps end at all points and at all contacts.
     ends = jnp.append(s, at.contact_arc)

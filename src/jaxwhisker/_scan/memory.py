@@ -5,7 +5,7 @@ its slip came to rest. That event may itself depend on earlier ones. The march s
 get their derivatives, from event to event.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -53,11 +53,39 @@ def memory_of(path: Path) -> Memory | None:
     return Memory(u, nodes.state.places, nodes.before.places)
 
 
+class Link(NamedTuple):
+    """What follows from an event: its control, and where contacts stick before and after it."""
+
+    control: Scalar
+    places: Places
+    places_before: Places
+
+
+class AfterEvent(Protocol):
+    """How a mechanics finds what follows from the event at a node."""
+
+    def __call__(
+        self, problem: Any, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Array
+    ) -> tuple[Scalar, Places]:
+        """The control of the event, and where contacts stick from there on.
+
+        Args:
+            problem: the problem.
+            node: the node of the event.
+            previous: the node before.
+            known: what followed from the event before.
+            linked: whether that was at the node before.
+            stops: where the drive starts, turns and ends, in the scene's units.
+        """
+        ...
+
+
 @eqx.filter_custom_jvp
-def remembered(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+def remembered(after: AfterEvent, problem: Any, path: Path, stops: Float[Array, " stops"]) -> Memory:
     """What contacts remember, with derivatives.
 
     Args:
+        after: how the mechanics finds what follows from an event.
         problem: the problem.
         path: the path, whose own derivatives are ignored.
         stops: where the drive starts, turns and ends, in the scene's units.
@@ -69,20 +97,23 @@ def remembered(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> M
 
 @remembered.def_jvp
 def _(primals, tangents):
-    (problem, path, stops), (problem_dot, _, stops_dot) = primals, tangents
+    (after, problem, path, stops), (_, problem_dot, _, stops_dot) = primals, tangents
 
     def chain(known):
         problem, stops = known
-        return chained(problem, path, stops)
+        return chained(after, problem, path, stops)
 
     dot = eqx.filter_jvp(chain, ((problem, stops),), ((problem_dot, stops_dot),))[1]
-    return remembered(problem, path, stops), dot
+    return remembered(after, problem, path, stops), dot
 
 
-def chained(problem: Problem, path: Path, stops: Float[Array, " stops"], *, events: bool = False) -> Memory:
+def chained(
+    after: AfterEvent, problem: Any, path: Path, stops: Float[Array, " stops"], *, events: bool = False
+) -> Memory:
     """What contacts remember, differentiable by JAX, from one event to the next.
 
     Args:
+        after: how the mechanics finds what follows from an event.
         problem: the problem.
         path: the path, without derivatives.
         stops: where the drive starts, turns and ends, in the scene's units.
@@ -97,37 +128,34 @@ def chained(problem: Problem, path: Path, stops: Float[Array, " stops"], *, even
     index = jnp.nonzero(links, size=size, fill_value=0)[0]
     known = jnp.where(jnp.sum(links) > size, jnp.nan, 1.0)
     controls = jnp.asarray(nodes.point.u)
-    start = controls[0], jax.tree.map(lambda leaf: leaf[0], nodes.state.places)
+    none = jax.tree.map(lambda leaf: leaf[0], nodes.state.places)
+    start = Link(controls[0], none, none)
 
     def link(carry, k):
         node, previous = (jax.tree.map(lambda leaf, j=j: leaf[j], nodes) for j in (k, jnp.maximum(k - 1, 0)))
-        carry = _after(problem, node, _linked(previous, carry, links[jnp.maximum(k - 1, 0)]), carry, stops)
+        u, places = after(problem, node, previous, carry, links[jnp.maximum(k - 1, 0)], stops)
+        carry = Link(u, places, carry.places)
         return carry, carry
 
     _, every = jax.lax.scan(link, start, index)
-    linked, places = jax.tree.map(lambda leaf: leaf * known, every)
+    every = jax.tree.map(lambda leaf: leaf * known, every)
     passed = jnp.cumsum(links)
-    controls = jnp.where(links, jnp.asarray(linked)[jnp.maximum(passed - 1, 0)], controls)
-    table = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start[1], places)
+    controls = jnp.where(links, jnp.asarray(every.control)[jnp.maximum(passed - 1, 0)], controls)
+    table = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), none, every.places)
     now, before = (jax.tree.map(lambda leaf, at=at: leaf[at], table) for at in (passed, passed - links))
     return Memory(controls, now, before)
 
 
-def _linked(previous: Node, carry: tuple[Scalar, Places], link: Bool[Array, ""]) -> Node:
-    """The node before, with the derivatives known so far."""
-    u, places = carry
-    return previous._replace(
-        point=previous.point._replace(u=jnp.where(link, u, previous.point.u)),
+def after_event(
+    problem: Problem, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Float[Array, " stops"]
+) -> tuple[Scalar, Places]:
+    """What follows from an event in the plane; see AfterEvent."""
+    places = known.places
+    previous = previous._replace(
+        point=previous.point._replace(u=jnp.where(linked, known.control, previous.point.u)),
         state=previous.state.stuck_at(places),
         before=previous.before.stuck_at(places),
     )
-
-
-def _after(
-    problem: Problem, node: Node, previous: Node, carry: tuple[Scalar, Places], stops: Float[Array, " stops"]
-) -> tuple[Scalar, Places]:
-    """Control of a node and the places where contacts stick from there on."""
-    _, places = carry
     at, _ = event_point(problem, node, previous)
     point = event_points(
         Sides(at.point, None), problem, Sides(at.state, None), at.along, at.condition, at.turning

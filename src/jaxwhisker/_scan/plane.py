@@ -30,7 +30,7 @@ from jaxwhisker._plane.continuation import ContinuationInPlane
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
-from jaxwhisker._scan.memory import Memory, memory_of, remembered
+from jaxwhisker._scan.memory import Memory, after_event, memory_of, remembered
 from jaxwhisker._scan.resolution import warn_of_steps
 from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.signals import control_at_event, nodes_at, sides_of_events, signals
@@ -108,7 +108,7 @@ class Plane(Mechanics):
 
     @staticmethod
     def remember(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> Memory:
-        return remembered(problem, path, stops)
+        return remembered(after_event, problem, path, stops)
 
     @staticmethod
     def remembered(memory: Memory | None, path: Path | None, solutions: Solutions) -> Places | None:

@@ -1,0 +1,137 @@
+"""Friction of whiskers with several contacts: stored scans, scans with one contact, laws, derivatives, energies."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxwhisker as jw
+import several_laws as laws
+from random_several import checked, drawn
+from scenes import all_ok
+from several_cases import CASES, scene_of
+
+SLIPPING = {
+    c["name"]: c
+    for c in json.loads((Path(__file__).parents[1] / "data" / "several_contacts_slipping.json").read_text())["cases"]
+}
+EXACT = 1e-8  # of the peak, and of controls: stored scans have nine decimals
+SAME = 1e-9  # relative to the peak: accuracy of scans in the plane and of scans with several contacts
+SLOPES = 1e-7  # relative: derivatives of such scans
+SOLVED = 1e-7  # laws of scans: a hundred times their accuracy
+BALANCED = 3e-8  # of the work: sixteen points in each panel, and segments of twelve steps
+AGREES = 1e-12  # the same program, and one compiled around it
+TO_AND_FRO = np.concatenate(
+    [np.linspace(a, b, 16, endpoint=False) for a, b in ((0.5, -0.3), (-0.3, -0.15), (-0.15, -0.35), (-0.35, 0.1))]
+)
+
+
+def circle(distance=0.5, radius=0.2, friction=0.3, contacts=2):
+    """A clamped whisker before a circle."""
+    return jw.Scene(jw.Whisker(), jw.Circle(distance, radius), friction=friction, contacts=contacts)
+
+
+def reactions(scene, control=TO_AND_FRO):
+    result = jw.scan(scene, control)
+    return jnp.stack([result.fx[:, 0], result.fy[:, 0], result.mz[:, 0]])
+
+
+@pytest.mark.parametrize("name", SLIPPING)
+def test_contacts_that_slip_are_exact(name):
+    case = SLIPPING[name]
+    scene = dataclasses.replace(scene_of(CASES[name]), friction=case["mu"])
+    result = jw.scan(scene, np.asarray(case["control"]))
+    all_ok(result)
+    for field in ("fx", "fy", "mz"):
+        expected = np.asarray(case[field])
+        np.testing.assert_allclose(getattr(result, field), expected, rtol=0, atol=EXACT * np.max(np.abs(expected)))
+    for k, contacts in enumerate(case["contacts"]):
+        rows = [row for row in contacts[::-1] if row[2] > EXACT]
+        for place, (_, number, force, arc, x, y) in enumerate(rows):
+            own = [getattr(result, f"contact_{name}")[k, 0, place] for name in ("force", "arc", "x", "y")]
+            np.testing.assert_allclose(own, (force, arc, x, y), rtol=EXACT, atol=EXACT)
+            assert result.contact_object is None or result.contact_object[k, 0, place] == number
+            assert abs(result.slip[k, 0, place]) == 1
+    expected = [(kind, u) for kind, u in case["events"] if u >= min(case["control"]) and kind != "loss"]
+    found = [(event.kind.name, event.control) for event in result.events]
+    assert [kind for kind, _ in found] == [kind for kind, _ in expected]
+    np.testing.assert_allclose([u for _, u in found], [u for _, u in expected], rtol=0, atol=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("scene", "control"),
+    [
+        (circle(), TO_AND_FRO),
+        (circle(0.85, 0.3), np.concatenate([np.linspace(0.6, -0.4, 21), np.linspace(-0.35, 0.6, 20)])),
+        (circle(friction=0.8), np.linspace(0.5, -1.6, 31)),
+        (circle(friction=0.0), TO_AND_FRO),
+    ],
+    ids=["to and fro", "tip", "sweep", "no coefficient"],
+)
+def test_one_contact_behaves_as_in_a_scene_with_one_contact(scene, control):
+    one, several = jw.scan(dataclasses.replace(scene, contacts=1), control), jw.scan(scene, control)
+    all_ok(one), all_ok(several)
+    for field in ("fx", "fy", "mz"):
+        expected = np.asarray(getattr(one, field))
+        np.testing.assert_allclose(getattr(several, field), expected, rtol=0, atol=SAME * np.max(np.abs(expected)))
+    for field in ("slip", "normal_force", "friction_force"):
+        expected = np.asarray(getattr(one, field))
+        size = max(1.0, np.max(np.abs(expected)))
+        np.testing.assert_allclose(getattr(several, field)[..., 0], expected, rtol=0, atol=10 * SAME * size)
+    # With several contacts there is no event at the lowest point.
+    expected = [event for event in one.events if event.kind != jw.EventKind.vertex]
+    assert [event.kind for event in several.events] == [event.kind for event in expected]
+    controls = [event.control for event in expected]
+    np.testing.assert_allclose([event.control for event in several.events], controls, rtol=0, atol=EXACT)
+
+
+def test_contacts_that_stick_have_derivatives():
+    # Where contacts stick depends on the turns of the drive, and on earlier slips.
+    def of(numbers, contacts):
+        distance, radius, friction, turn = numbers
+        control = jnp.asarray(TO_AND_FRO).at[16].add(turn)
+        return reactions(circle(distance, radius, friction, contacts), control)
+
+    at, way = jnp.array([0.5, 0.2, 0.3, 0.0]), jnp.array([0.3, -0.7, 0.5, 0.8])
+    (_, expected), (_, found) = (
+        jax.jvp(lambda numbers, k=k: of(numbers, k), (at,), (way,)) for k in (1, 2)
+    )
+    assert np.max(np.abs(expected)) > 1
+    np.testing.assert_allclose(found, expected, rtol=0, atol=SLOPES * np.max(np.abs(expected)))
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=expected.shape))
+    back = jax.grad(lambda numbers: jnp.sum(weights * of(numbers, 2)))(at)
+    np.testing.assert_allclose(back @ way, jnp.sum(weights * found), rtol=SLOPES)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("roof, straight, clamped", (0, 12, 1)), ("roof, straight, clamped", (0, 12, 4))])
+def test_contacts_obey_the_laws_of_friction_at_corners_and_on_the_way_back(kind, seed):
+    one = drawn(kind, np.random.default_rng(seed), friction=True)
+    result = jw.scan(one.scene, one.control)
+    all_ok(result)
+    kinds = [event.kind for event in result.events]
+    assert jw.EventKind.edge in kinds and jw.EventKind.stick in kinds and jw.EventKind.slip in kinds
+    for law, control, _, value in checked(one, result):
+        assert value < SOLVED, (law, control)
+    assert np.any(result.slip[result.phase == laws.TANGENTIAL] == 0)
+
+
+def test_batches_and_compiled_scans_are_those_of_single_scans():
+    expected = reactions(circle())
+    batch = jax.vmap(lambda radius: reactions(circle(radius=radius)))(jnp.array([0.2, 0.25]))
+    np.testing.assert_array_equal(batch[0], expected)
+    assert np.all(np.isfinite(batch))
+    compiled = jax.jit(lambda radius: reactions(circle(radius=radius)))(0.2)
+    np.testing.assert_allclose(compiled, expected, rtol=0, atol=AGREES * np.max(np.abs(expected)))
+
+
+def test_friction_turns_work_into_heat():
+    result = jw.scan(circle(), TO_AND_FRO)
+    balance = jw.energy_balance(result)
+    most = np.max(np.abs(balance.work))
+    assert np.max(np.abs(balance.residual)) < BALANCED * most
+    heat = np.asarray(balance.heat)[:, 0]
+    assert np.all(np.diff(heat) > -BALANCED * most) and heat[-1] > 0.1 * most
