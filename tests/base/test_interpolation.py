@@ -32,6 +32,18 @@ def test_the_smallest_value_of_lines_and_parabolas():
         assert of(np.polynomial.Polynomial(coefficients)).least() == pytest.approx(least, abs=EXACT)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_minimum_of_a_cubic(seed):
+    polynomial = np.polynomial.Polynomial(np.random.default_rng(seed).normal(size=4))
+    minima = [t.real for t in polynomial.deriv().roots() if t.imag == 0 and polynomial.deriv(2)(t.real) > 0]
+    assert of(polynomial).minimum() == pytest.approx(minima[0] if minima else np.inf, rel=1e3 * EXACT)
+
+
+def test_the_minimum_of_lines_and_parabolas():
+    for coefficients, place in [((1.0,), np.inf), ((1.0, 2.0), np.inf), ((1.0, 0.0, -1.0), np.inf), ((1, -1, 1), 0.5)]:
+        assert of(np.polynomial.Polynomial(coefficients)).minimum() == pytest.approx(place, abs=EXACT)
+
+
 def test_cubics_between_points_have_rates_per_arc_length():
     s = np.array([0.0, 0.3, 1.0])
     cubics = between(jnp.asarray(s**3), jnp.asarray(3 * s**2), jnp.diff(jnp.asarray(s)))

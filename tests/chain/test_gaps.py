@@ -42,3 +42,17 @@ def test_the_foot_of_a_normal_is_the_nearest_point():
             away, along = jax.vmap(found)(jnp.asarray(parameters))
             np.testing.assert_allclose(away, distance, atol=NEAR)
             np.testing.assert_allclose(along, 0.0, atol=FOOT)
+
+
+def test_the_nearest_point_of_short_waves():
+    """Shorter than the spacing of the points from which the search starts."""
+    one = jw.Graph(Wave(0.4, 0.008, 0.05, 0.3))
+    parameters, distance = np.linspace(-0.9, 0.9, 101), 1e-3
+
+    def found(p):
+        at = one.point(p)
+        return off(one, at.x + distance * at.sin, at.y - distance * at.cos)
+
+    away, along = jax.vmap(found)(jnp.asarray(parameters))
+    np.testing.assert_allclose(away, distance, atol=NEAR)
+    np.testing.assert_allclose(along, 0.0, atol=FOOT)

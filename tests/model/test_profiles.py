@@ -150,3 +150,11 @@ def test_wrong_profiles(make, message):
 def test_the_unit_of_a_graph_is_internal():
     with pytest.raises(TypeError, match="unit"):
         jw.Graph(lambda x: 0.2 + x**2, unit=np.nan)  # pyright: ignore[reportCallIssue]
+
+
+def test_a_point_of_a_graph_faces_itself():
+    graph = jw.Graph(Curve(0.2), 0.3)
+    for profile in (graph, jw.Tilted(graph, 0.4, (0.1, -0.2))):
+        at = profile.point(jnp.asarray(0.7))
+        assert profile.facing(at.x, at.y) == pytest.approx(0.7, abs=EXACT)
+    assert jw.Tilted(jw.Circle(0.3, 0.5), 0.4).facing(jnp.asarray(0.1), jnp.asarray(0.1)) is None

@@ -38,6 +38,15 @@ class Cubic(NamedTuple):
         root = jnp.sqrt(jnp.where(turns, bend**2 - 3 * twist * self.leaving, 1.0))
         return jnp.where(turns, -self.leaving / jnp.where(turns, bend + root, 1.0), 1.0)
 
+    def minimum(self) -> Values:
+        """The t of the minimum of the whole cubic, which need not lie between 0 and 1; infinite without one."""
+        bend, twist = self._powers()
+        square = bend**2 - 3 * twist * self.leaving
+        root = jnp.sqrt(jnp.where(square > 0, square, 1.0))
+        # Without loss of digits on either side.
+        above, below = jnp.where(bend > 0, -self.leaving, root - bend), jnp.where(bend > 0, bend + root, 3 * twist)
+        return jnp.where((square > 0) & (below != 0), above / jnp.where(below == 0, 1.0, below), jnp.inf)
+
     def least(self) -> Float[Array, "..."]:
         """The smallest value between the ends, in closed form."""
         bend, twist = self._powers()

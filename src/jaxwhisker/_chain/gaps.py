@@ -16,6 +16,7 @@ from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.polygons import SHALLOW, AtFace, at_corner, faces_of, nearest_face, of_corners
 from jaxwhisker._chain.shaft import WholeShaft, cell_of
+from jaxwhisker._chain.valleys import GapAlong, gap_facing, lowest_valley
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.objects import Objects, of_each_object
 from jaxwhisker._model.polygon_chain import PolygonChain
@@ -90,7 +91,14 @@ def outline_of(one: AbstractProfile, x: Scalar, y: Scalar, reach: Scalar) -> Obj
 def nearest(one: AbstractProfile, outline: ObjectOutline, x: Scalar, y: Scalar) -> Float[Array, ""]:
     """The parameter of the point of an object that is nearest to a point close to it."""
     apart = (outline.x - x) ** 2 + (outline.y - y) ** 2
-    start, spacing = outline.parameters[jnp.argmin(jnp.where(jnp.isfinite(apart), apart, jnp.inf))], outline.spacing
+    apart = jnp.where(jnp.isfinite(apart), apart, jnp.inf)
+    closest = jnp.argmin(apart)
+    start, spacing = outline.parameters[closest], outline.spacing
+    facing = one.facing(x, y)
+    if facing is not None:
+        # Waves may be shorter than the spacing.
+        at = one.point(facing)
+        start = jnp.where((at.x - x) ** 2 + (at.y - y) ** 2 < apart[closest], facing, start)
 
     def step(_, p):
         at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
@@ -122,16 +130,10 @@ def _of_smooth(
     normal_x, normal_y = jnp.where(past, right / apart, normal_x), jnp.where(past, up / apart, normal_y)
     # By the arc length towards the base.
     rate = -(shaft.cos * normal_x + shaft.sin * normal_y)
-    starts, ends = shaft.starts == first, shaft.ends == first
-    falls = jnp.where(starts[:, None] & (jnp.arange(gap.shape[1] - 1) == 0), 1.0, rate[:, :-1]) < 0
-    rises = jnp.where(ends[:, None] & (jnp.arange(gap.shape[1] - 1) == gap.shape[1] - 2), -1.0, rate[:, 1:]) > 0
-    lengths = shaft.beyond[:, 1:] - shaft.beyond[:, :-1]
-    cubic = Cubic(gap[:, :-1], gap[:, 1:], lengths * rate[:, :-1], lengths * rate[:, 1:])
-    share = cubic.valley()
-    valleys = jnp.where(falls & rises, cubic.value(share), FAR)
-    k = jnp.argmin(valleys)
-    segment, index = k // valleys.shape[1], k % valleys.shape[1]
-    some = jnp.isfinite(jnp.min(valleys))
+    beside = gap_facing(one, shaft)
+    along = GapAlong(gap, rate, shaft.beyond) if beside is None else beside
+    lowest = lowest_valley(along, shaft, first)
+    segment, index, t0 = lowest.segment, lowest.index, lowest.share
     cell = cell_of(shaft, segment, index)
 
     def stationary(unknowns):
@@ -146,15 +148,17 @@ def _of_smooth(
         step = jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
         return unknowns - jnp.where(jnp.isfinite(step), step, 0.0)
 
-    t0 = share.reshape(-1)[k]
     p0 = (1 - t0) * found[segment, index] + t0 * found[segment, index + 1]
+    room = 3 * spacing + jnp.abs(found[segment, index] - p0)
+    if beside is not None:
+        p0, room = nearest(one, outline, *cell.point(t0)), 3 * spacing
     t, p = jax.lax.fori_loop(0, LOWEST_STEPS, newton, jnp.stack([t0, p0]))
-    astray = ~((t > -0.5) & (t < 1.5) & (jnp.abs(p - p0) < 3 * spacing + jnp.abs(found[segment, index] - p0)))
+    astray = ~((jnp.abs(t - t0) < lowest.width) & (jnp.abs(p - p0) < room))
     t, p = jnp.where(astray, t0, t), jnp.where(astray, p0, p)
     there, (x, y), (dx, dy) = one.point(p), cell.point(t), cell.direction(t)
     piece = first
     on_shaft = Candidate(
-        jnp.where(some, there.off(x, y), FAR),
+        jnp.where(lowest.some, there.off(x, y), FAR),
         jnp.stack([jnp.zeros(()), p, cell.beyond + t * cell.length]),
         jnp.asarray(int(Phase.tangential)),
         jnp.where(dx * there.cos + dy * there.sin > 0, -1.0, 1.0),

@@ -171,6 +171,14 @@ class AbstractProfile(eqx.Module):
         del x, y, reach
         return self.span()
 
+    def facing(self, x: Scalar, y: Scalar) -> Scalar | None:
+        """The parameter of a point that faces (x, y), a smooth function of both; None if it has to be searched for.
+
+        For points on the profile it is their own parameter.
+        """
+        del x, y
+        return None
+
     def lowest(self) -> Scalar:
         """The parameter of the object's lowest point."""
         return self.at_slope(0.0)

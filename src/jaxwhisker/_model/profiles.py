@@ -69,6 +69,11 @@ class Graph(AbstractProfile):
         low, high = self.ends()
         return jnp.clip(x - self.position - reach, low, high), jnp.clip(x - self.position + reach, low, high)
 
+    def facing(self, x, y):
+        del y
+        low, high = self.ends()
+        return jnp.clip(x - self.position, low, high)
+
     def at_slope(self, slope):
         def angle(x):
             # The unit tangent would not do: far out, the square of g' may overflow.
@@ -180,9 +185,15 @@ class Tilted(AbstractProfile):
         return self.profile.span()
 
     def around(self, x, y, reach):
+        return self.profile.around(*self._turned_back(x, y), reach)
+
+    def facing(self, x, y):
+        return self.profile.facing(*self._turned_back(x, y))
+
+    def _turned_back(self, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
         about_x, about_y = self.about
         cos, sin, right, up = jnp.cos(self.angle), jnp.sin(self.angle), x - about_x, y - about_y
-        return self.profile.around(about_x + right * cos + up * sin, about_y - right * sin + up * cos, reach)
+        return about_x + right * cos + up * sin, about_y - right * sin + up * cos
 
     def first_touch(self, height, side):
         return self._climbed(height, side, self.ends(), lambda at: at.cos > 0)  # up to where the object is widest
