@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from several_cases import CASES, contacts_of, scanned
+from several_cases import CASES, contacts_of, scanned, scene_of
 
 CONTROL = 1e-8  # stored with ten decimals
 NEXT_TO_A_FOLD = 1e-4  # of states: at a fold they change with the square root of the control
+AT_WALL = 1e-5  # lengths
 AFTER = 1e-8  # of states in which whiskers come to rest, relative to the largest value
 
 by_name = pytest.mark.parametrize("name", CASES)
@@ -71,3 +72,13 @@ def test_a_contact_begins_and_ends_without_force(name):
             state = event.after if event.kind == jw.EventKind.touch else event.before
             forces = [own[1] for own in contacts_of(state, event.whiskers[0] - 1)]
             assert min(np.abs(forces)) < CONTROL
+
+
+def test_all_steps_before_a_base_gets_into_a_wall_are_equilibria():
+    case = CASES["pipe"]
+    wall = float(np.sqrt(case["objects"][0]["radius"] ** 2 - case["objects"][0]["height"] ** 2))
+    control = np.linspace(0.0, wall + 0.02, 12)
+    control = np.sort(np.append(control, [wall - AT_WALL, wall + AT_WALL]))
+    status = np.asarray(jw.scan(scene_of(case), control).status)
+    np.testing.assert_array_equal(status == jw.Status.ok, control < wall)
+    assert np.all(status[control > wall] == jw.Status.lost)

@@ -8,13 +8,17 @@ import pytest
 
 from jaxwhisker._chain.landing import (
     BEYOND,
+    CLOSEST,
     DEEP,
+    FIRST,
+    OF_SLIPS,
     SLIPS,
     after_flow,
     flow_again,
     revised_landing,
     state_differs,
     to_snap,
+    towards_loss,
 )
 from jaxwhisker._chain.march_state import SNAP, MarchOfChain
 from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
@@ -33,7 +37,7 @@ revised, flowed = jax.jit(revised_landing), jax.jit(after_flow)
 def test_rods_flow_from_where_stability_is_lost():
     march = march_at(with_contacts(2))
     flowing = to_snap(march)
-    assert int(flowing.task) == Task.flow and float(flowing.flow.beyond) == BEYOND[0]
+    assert int(flowing.task) == Task.flow and int(flowing.flow.attempt) == FIRST
     np.testing.assert_array_equal(flowing.flow.start, march.point.z)
     assert float(flowing.flow.u) == float(march.point.u)
     np.testing.assert_array_equal(flowing.pending.z_before, march.point.z)
@@ -43,23 +47,38 @@ def test_a_contact_that_slips_over_an_end_flows_from_beyond_it():
     march = march_at(with_contacts(2))
     flowing = to_snap(march.replace(slips=jnp.asarray(True)))
     np.testing.assert_allclose(flowing.flow.start, march.point.z + SLIPS * march.tangent.z)
-    assert float(flowing.flow.beyond) == BEYOND[1] and not bool(flowing.slips)
+    assert int(flowing.flow.attempt) == OF_SLIPS and not bool(flowing.slips)
 
 
-def test_rods_flow_further_behind_the_loss_again_and_again():
+def test_rods_flow_elsewhere_behind_the_loss_again_and_again():
     march = to_snap(march_at(with_contacts(2)))
-    for beyond in BEYOND[1:]:
+    for attempt in range(1, len(BEYOND)):
         march = flow_again(march.replace(task=jnp.asarray(int(Task.arrive))))
-        assert int(march.task) == Task.flow and float(march.flow.beyond) == beyond
+        assert int(march.task) == Task.flow and int(march.flow.attempt) == attempt
         assert float(march.point.u) == float(march.flow.u)
     assert int(flow_again(march).status) == Status.unsettled
     assert int(flow_again(march).task) == Task.done
 
 
-def test_states_differ_by_phases_and_pieces():
+def test_contacts_are_followed_to_the_loss_in_shorter_steps_if_one_does_not_do():
+    march = landed()
+    loss = float(march.flow.u)
+    march = march.replace(point=march.point._replace(u=loss - 0.02), flow=march.flow._replace(landed=loss - 0.02))
+    trial = trial_at(march, march.point.z)
+    onwards, _, worth = towards_loss(march, trial)
+    assert float(onwards.point.u) == loss and not bool(worth)
+    _, shorter, worth = towards_loss(onwards, trial)
+    assert bool(worth) and float(shorter.point.u) == pytest.approx(loss - 0.01)
+    assert float(shorter.flow.landed) == pytest.approx(loss - 0.02)
+    close = onwards.replace(flow=onwards.flow._replace(landed=loss - 0.5 * CLOSEST))
+    assert not bool(towards_loss(close, trial)[2])
+
+
+def test_states_differ_by_contacts_and_pieces():
     state = with_contacts(2).state
     assert not bool(state_differs(state, state))
     assert not bool(state_differs(state, state._replace(side=-state.side)))
+    assert not bool(state_differs(state, state._replace(phase=state.phase.at[0].set(3 - state.phase[0]))))
     assert bool(state_differs(state, state._replace(phase=state.phase.at[1].set(0))))
     assert bool(state_differs(state, state._replace(piece=state.piece.at[0].set(1))))
 

@@ -63,11 +63,18 @@ def test_no_valley_over_a_slope_or_beside_the_contact_at_which_the_shaft_starts(
     assert not found(parabola, straight(contact, starts=0)._replace(y=straight(contact).y + 0.5))[1]
 
 
+# Crests are missed in the first four without samples within steps. In the last one, events follow soon after jumps.
 @pytest.mark.parametrize(
-    ("distance", "depth", "wavelength", "a"), [(0.4, 0.08, 0.2, 0.5), (0.4, 0.02, 0.1, 0.25), (0.4, 0.016, 0.08, 0.5)]
+    "numbers",
+    [
+        (0.48, -0.04, 0.2, 0.5),
+        (0.42, -0.01, 0.1, 0.25),
+        (0.416, -0.008, 0.08, 0.5),
+        (0.43, 0.05, 0.25, 0.5),
+        (0.412, -0.006, 0.06, 0.5),
+    ],
 )
-def test_scans_over_textures(distance, depth, wavelength, a):
-    numbers = distance + depth, -depth / 2, wavelength, a
+def test_scans_over_textures(numbers):
     scene = jw.Scene(jw.Whisker(), jw.Graph(Wave(*numbers)), contacts=2)
     control = np.linspace(1.6, -1.8, 120)
     result = jw.scan(scene, control)

@@ -9,7 +9,7 @@ from jaxwhisker._chain.approach import all_free, has_passed, limits_of
 from jaxwhisker._chain.changes import changed_contacts
 from jaxwhisker._chain.contacts import held_of
 from jaxwhisker._chain.friction import changed_slips, come_to_rest, slip_rates, with_changed_slips
-from jaxwhisker._chain.landing import after_flow, flow_again, revised_landing, state_differs, to_snap
+from jaxwhisker._chain.landing import after_flow, flow_again, revised_landing, state_differs, to_snap, towards_loss
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
@@ -45,7 +45,7 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import first_dip
 from jaxwhisker._path.path import NO_EVENT, Node, Status, select
-from jaxwhisker._path.transitions import FIRST_STEP
+from jaxwhisker._path.transitions import FIRST_STEP, SHORTER
 
 LONGEST_STEP = 0.1  # lengths
 LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
@@ -59,7 +59,7 @@ OF_ROWS = (RELEASE, PHASE, LOW, HIGH, LEAN)  # kinds of margins that belong to e
 CLEAR_STEP = 2e-4  # lengths by which free whiskers may move although they might dip into an object
 FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks
 MOST_SLIPS = 4  # a contact may change its slip so often at an event, for each combination of the others
-CLOSE = 1e-6  # length of a step within which a contact begins that there is no room for
+CLOSE = 1e-6  # length of a step within which the march ends: a contact begins that there is no room for, for example
 
 
 class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
@@ -120,7 +120,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             direction=direction,
             travel=pending.travel,
             pending=pending,
-            flow=ChainFlow(jnp.asarray(0.0), z, start, jnp.asarray(-jnp.inf), zero, zero),
+            flow=ChainFlow(zero, z, start, jnp.asarray(-jnp.inf), zero, zero, start),
             count=zero,
             status=jnp.asarray(int(Status.ok)),
             turns=turns,
@@ -197,6 +197,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         beyond = trial.point.z[:, SLACK] > (1 - AT_BASE) * length
         return [
             (has_passed(self.problem, march, trial), march.stopped(Status.ok)),
+            # All equilibria before the end count.
+            (~_sound(trial) & (march.step > CLOSE), march.replace(step=SHORTER * march.step)),
             (~trial.stance.outside, march.stopped(Status.lost)),
             (~trial.stance.opens, march.stopped(Status.not_convex)),
             (jnp.any(tangential & beyond), march.stopped(Status.lost)),
@@ -204,8 +206,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def written(self, march: MarchOfChain, trial: TrialOfChain, node, loss: Loss):
         # While all whiskers are free, nothing happens between events.
-        sound = trial.stance.opens & trial.stance.outside
-        return trial.stable & sound & jnp.any(march.state.touches), node
+        return trial.stable & _sound(trial) & jnp.any(march.state.touches), node
 
     def onwards(self, march: MarchOfChain, moved: MarchOfChain, trial: TrialOfChain, factor):
         touching = jnp.any(moved.state.touches)
@@ -244,7 +245,13 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             jnp.clip(target.number - OF_ROWS[0], 0, len(OF_ROWS) - 1)
         ]
         grows = ~begins & (target.number != AT_STOP) & jnp.any(target.whiskers & (own > 0))
-        good = trial.converged & ~grows & (distance > -BEHIND) & (reach <= 1.5 * march.step + 1e-6)
+        good = (
+            trial.converged
+            & ~grows
+            & (_sound(trial) | (target.number != AT_STOP))
+            & (distance > -BEHIND)
+            & (reach <= 1.5 * march.step + 1e-6)
+        )
         # The contact that begins must be as it was expected to be.
         new = trial.point.z[target.first.row, SLACK]
         tip = target.first.phase == Phase.tip
@@ -328,7 +335,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         del falls
         snapped, converged = march.target.number == SNAP, trial.converged
         at_loss = march.point.u == march.flow.u
-        onwards = march.replace(point=trial.point._replace(u=march.flow.u))
+        onwards, shorter, closer = towards_loss(march, trial)
         revised, wrong = revised_landing(self.problem, march, trial)
         before = march.pending
         same = (
@@ -342,6 +349,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             converged & trial.stance.opens & (~snapped | (at_loss & ~wrong & ~same)),
             [
                 (snapped & converged & wrong & again, revised),
+                (snapped & ~converged & closer, shorter),
                 (snapped & (~converged | wrong) | stays, flow_again(march)),
                 (snapped & ~at_loss, onwards),
                 (~converged, march.stopped(Status.lost)),
@@ -367,6 +375,11 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         exhausted = changed & (tried > MOST_SLIPS**problem.rows), march.stopped(Status.undetermined)
         onwards = onwards.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
         return WaysOn([exhausted, (changed, retry), unsettled], onwards, (tried == 0) | ~changed)
+
+
+def _sound(trial: TrialOfChain) -> Array:
+    """Whether objects are where the equations assume them to be: not around a base, nor on both sides of a contact."""
+    return trial.stance.opens & trial.stance.outside
 
 
 def _to_loss(march: MarchOfChain) -> Scalar:

@@ -34,8 +34,11 @@ from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
 
-# Distances of the control behind a loss at which rods flow, dimensionless: coarse rods may still be stable close to it.
-BEYOND = (3e-3, 2e-2, 1e-1)
+# Distances of the control behind a loss at which rods flow, dimensionless, in the order in which they are tried: coarse
+# rods may still be stable close to it, but where objects have short waves, other events follow soon.
+BEYOND = (3e-3, 2e-2, 1e-1, 3e-4)
+FIRST, OF_SLIPS = 0, 1
+CLOSEST = 1e-6  # difference of controls from which contacts cannot be followed towards the loss
 SLIPS = 0.02  # along the path, from where a contact slips over an end
 MOST_SNAPS, STILL = 8, 1e-9  # at a control, and by how much this may differ
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
@@ -47,11 +50,11 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
     pending = march.node(march.point, march.tangent, **corner)
     # A contact that slips over an end begins to flow beyond it.
     z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
-    beyond = jnp.where(march.slips, BEYOND[1], BEYOND[0])
+    attempt = jnp.where(march.slips, OF_SLIPS, FIRST)
     snaps = jnp.where(march.travel - march.flow.travel < STILL, march.flow.snaps + 1, 0)
     flowing = march.replace(
         task=jnp.asarray(int(Task.flow)),
-        flow=ChainFlow(beyond, z, march.point.u, march.travel, snaps, jnp.asarray(0)),
+        flow=ChainFlow(attempt, z, march.point.u, march.travel, snaps, jnp.asarray(0), march.point.u),
         pending=pending,
         slips=jnp.asarray(False),
     )
@@ -62,7 +65,7 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
 def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
     """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium."""
     begins, before = march.task == Task.flow, march.pending
-    u = march.flow.u + march.direction * march.flow.beyond
+    u = march.flow.u + march.direction * jnp.asarray(BEYOND)[march.flow.attempt]
 
     def landed_in() -> Landing:
         at = evaluate(problem, march.flow.start, march.point.u, before.before)
@@ -77,6 +80,7 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         task=jnp.asarray(int(Task.arrive)),
         state=landing.state,
         point=Point(landing.z, u),
+        flow=march.flow._replace(landed=u),
         target=march.target._replace(number=jnp.asarray(SNAP), whiskers=jnp.zeros(problem.rows, bool)),
         pending=_snap(problem, before, landing.state),
     )
@@ -135,19 +139,29 @@ def revised_landing(
 
 
 def flow_again(march: MarchOfChain) -> MarchOfChain:
-    """The state in which rods flow at a control further behind the loss, or the march ends."""
-    farther = march.flow.beyond < BEYOND[-1]
-    before, beyond = march.pending, jnp.asarray(BEYOND)
-    beyond = beyond[jnp.minimum(jnp.sum(beyond <= march.flow.beyond), len(BEYOND) - 1)]
+    """The state in which rods flow at another control behind the loss, or the march ends."""
+    again, before = march.flow.attempt + 1 < len(BEYOND), march.pending
     flowing = march.replace(
         task=jnp.asarray(int(Task.flow)),
         point=Point(before.z_before, march.flow.u),
         state=before.before,
-        flow=march.flow._replace(beyond=beyond, tries=jnp.asarray(0)),
+        flow=march.flow._replace(attempt=march.flow.attempt + 1, tries=jnp.asarray(0)),
     )
-    return select(farther, flowing, march.stopped(Status.unsettled))
+    return select(again, flowing, march.stopped(Status.unsettled))
+
+
+def towards_loss(march: MarchOfChain, trial: TrialOfChain) -> tuple[MarchOfChain, MarchOfChain, Bool[Array, ""]]:
+    """The ways from contacts in which whiskers rest to those at the loss itself.
+
+    Returns the states of the march that follow if the contacts have been solved for and if they have not, and whether
+    the latter is worth while.
+    """
+    loss, landed = march.flow.u, march.flow.landed
+    onwards = march.replace(point=trial.point._replace(u=loss), flow=march.flow._replace(landed=trial.point.u))
+    shorter = march.replace(point=march.point._replace(u=(march.point.u + landed) / 2))
+    return onwards, shorter, jnp.abs(march.point.u - landed) > CLOSEST
 
 
 def state_differs(one: ChainState, other: ChainState) -> Bool[Array, ""]:
-    """Whether contacts touch in another way."""
-    return jnp.any((one.phase != other.phase) | (one.piece != other.piece))
+    """Whether whiskers touch in other places; the phase of a contact changes without going anywhere."""
+    return jnp.any((one.touches != other.touches) | (one.piece != other.piece))

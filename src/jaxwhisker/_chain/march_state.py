@@ -42,12 +42,13 @@ class ChainStance(NamedTuple):
 class ChainFlow(NamedTuple):
     """What follows from a loss of stability."""
 
-    beyond: Scalar  # distance of the control behind the loss at which whiskers come to rest
+    attempt: Int[Array, ""]  # number of the distance behind the loss at which whiskers come to rest
     start: Contacts  # from where they begin to move
     u: Scalar  # the control of the loss
     travel: Scalar  # of the drive, there
     snaps: Int[Array, ""]  # so many have happened there before
     tries: Int[Array, ""]
+    landed: Scalar  # the control nearest to the loss at which their contacts have been solved for
 
 
 class MarchOfChain(MarchState):
