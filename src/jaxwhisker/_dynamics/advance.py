@@ -14,6 +14,7 @@ from jaxwhisker._dynamics.inside import deepest
 from jaxwhisker._dynamics.ledger import booked, with_pulls
 from jaxwhisker._dynamics.motion_state import LEAP, Moving, Rod, Touching, nodes_of, posed
 from jaxwhisker._dynamics.moving import System
+from jaxwhisker._dynamics.places import with_places
 from jaxwhisker._dynamics.stop import stopped
 from jaxwhisker._dynamics.time_step import (
     ContactMode,
@@ -119,27 +120,30 @@ def _iterate(step: TimeStep, guess: Array) -> tuple[Array, ContactMode, Bool[Arr
     """Newton's method with an active set: the unknowns, the mode of all contacts, and whether it has converged."""
     system, c = step.system, step.system.contact_unknowns
     before = unknowns_at(step.old, system).flat()
-    limit = jnp.array([MOST, MOST, jnp.inf, jnp.inf][:c])
+    each = c // system.contacts
+    limit = jnp.array([MOST, MOST, jnp.inf, jnp.inf][:each] * system.contacts)
     hold = HOLD if system.profile is not None and system.profile.has_edges else LET_GO
-    counted = jnp.array([1.0, 1.0, 0.0, 0.0][:c])
-    none, touching = jnp.zeros(system.rods.length.shape[0], int), step.old.rod.touching
+    counted = jnp.array([1.0, 1.0, 0.0, 0.0][:each])
+    none, touching = jnp.zeros(system.contact_shape, int), step.old.rod.touching
     slips_off = none > 0 if touching is None else touching.touches & (touching.arc > 1 - LEAP)
 
     def improve(carry):
         flat, mode, size, k = carry
         flat = jnp.where((k == RESTART) | (k == LET_GO) | (k == hold), before, flat)
-        free = jnp.where(k == LET_GO, slips_off & (size > CLOSE), mode.imposed.free) & (k < hold)
+        free = jnp.where(k == LET_GO, slips_off & (system.over_contacts(size) > CLOSE), mode.imposed.free) & (k < hold)
         x = unknowns_of(system, flat)
         change, mode = _newton(step, x, Imposed(free, jnp.full_like(free, k >= hold)))
         contact = jnp.clip(change.contact, -limit, limit)
         # The closest points of whiskers that do not touch need not converge: they are found again after the step.
-        moved = contact * counted * mode.touches[:, None]
+        moved = system.by_contact(contact) * counted * mode.touches[..., None]
+        moved = moved.reshape(contact.shape)
         size = jnp.max(jnp.abs(jnp.concatenate([change.q, moved], axis=1)), axis=1)
         size = jnp.maximum(size, jnp.max(jnp.abs(change.z), initial=0.0))
         share = jnp.minimum(1.0, MOST_BENT / jnp.maximum(jnp.max(jnp.abs(change.q)), MOST_BENT))
         x = StepUnknowns(x.q + share * change.q, x.contact + share * contact, x.z + share * change.z)
         if c > 0:  # forces are not counted, but their signs are, and whether whiskers without them are inside
-            wrong = mode.touches & ((x.contact[:, 2] < 0) | free)
+            wrong = mode.touches & ((system.by_contact(x.contact)[..., 2] < 0) | free)
+            wrong = wrong if system.contacts == 1 else jnp.any(wrong, axis=1)
             size = jnp.where(wrong, jnp.maximum(size, 2 * CLOSE), size)
         return x.flat(), mode, size, k + 1
 
@@ -147,7 +151,7 @@ def _iterate(step: TimeStep, guess: Array) -> tuple[Array, ContactMode, Bool[Arr
         _, _, size, k = carry
         return ~jnp.all(size <= CLOSE) & ~jnp.any(jnp.isnan(size)) & (k < MOST_ITERATIONS)
 
-    start = guess, ContactMode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape, jnp.inf), 0
+    start = guess, ContactMode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape[:1], jnp.inf), 0
     flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
     return flat, mode, jnp.all(size <= CLOSE)
 
@@ -164,17 +168,19 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     flat = solution_of(_equations, flat, (step, mode))
     x = unknowns_of(system, flat)
     rows, trial = every(step, mode, x)
-    base, c = system.bases(x.z, drive), system.contact_unknowns
+    base = system.bases(x.z, drive)
     at = nodes_of(system, base, trial.angle)
     touching, none = None, jnp.zeros(base.shape[0])
-    normal, drag = (x.contact[:, k] if c > k else none for k in (2, 3))
+    contacts = system.by_contact(x.contact)
+    normal, drag = (contacts[..., k] if contacts.shape[-1] > k else jnp.zeros(system.contact_shape) for k in (2, 3))
     if trial.gap is not None and old.rod.touching is not None:
-        arc, parameter, *_ = x.contact.T
+        arc, parameter = contacts[..., 0], contacts[..., 1]
         began = mode.touches & ~old.rod.touching.lasts(arc)
         others, outside = old.rod.touching.others, none + jnp.inf
         if others is not None:
             others -= jnp.max(jnp.linalg.norm(jax.lax.stop_gradient(at - old.rod.at), axis=1), axis=1)
-        touching = Touching(arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, outside, others)
+        found = arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, outside, others
+        touching = Touching(*found, old.rod.touching.away, old.rod.touching.distance)
     velocity = old.rod.velocity + ((at - old.rod.at) / h - old.rod.velocity) / old.ahead
     spin = old.rod.spin + ((base[:, 2] - old.rod.base[:, 2]) / h - old.rod.spin) / old.ahead
     new = Moving(
@@ -197,7 +203,7 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
     if touching is not None:
         new, impulse = stopped(system, new, rate, h)
         reaction, normal, drag = reaction + impulse.reaction / h, normal + impulse.normal / h, drag + impulse.drag / h
-        new = _with_closest(system, new, mode)
+        new = _with_closest(system, new, mode) if system.contacts == 1 else with_places(system, new)
     return new, Forces(reaction, normal, drag)
 
 
@@ -272,4 +278,6 @@ def _where(
 def _extrapolated(system: System, change: Array) -> Array:
     """The change without that of the contact forces, which are not extrapolated."""
     x = unknowns_of(system, change)
-    return StepUnknowns(x.q, x.contact * jnp.array([1.0, 1.0, 0.0, 0.0][: x.contact.shape[1]]), x.z).flat()
+    each = x.contact.shape[1] // system.contacts
+    places = jnp.array([1.0, 1.0, 0.0, 0.0][:each] * system.contacts)
+    return StepUnknowns(x.q, x.contact * places, x.z).flat()

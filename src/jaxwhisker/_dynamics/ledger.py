@@ -32,6 +32,7 @@ def booked(
     if after.touching is None or before.touching is None:
         return ledger
     turned, shifted = after.angle - before.angle, (after.base - before.base)[:, :2]
+    turned, shifted = (system.over_contacts(change) for change in (turned, shifted))
     across, normal, along, tangent = before.touching.directions(after.touching.gap, after.touching.arc)
     closed = jnp.sum(across * turned, axis=-1) + jnp.sum(normal * shifted, axis=-1)
     slipped = jnp.sum(along * turned, axis=-1) + jnp.sum(tangent * shifted, axis=-1)

@@ -12,27 +12,34 @@ from jaxwhisker._dynamics.moving import System
 LEAP = 0.05  # fraction of the length beyond which a contact does not move in a step, but begins elsewhere
 
 PerWhisker = Float[Array, "*whiskers"]
+PerContact = Float[Array, "*contacts"]  # (*whiskers, contacts), or as PerWhisker if a whisker has one at most
 
 
 class Touching(NamedTuple):
-    """The closest points of whisker and object, and the contact."""
+    """The closest points of whisker and object, and the contact; or several places where they are close, and contacts.
 
-    arc: PerWhisker  # fraction of the length
-    parameter: PerWhisker  # of the object
+    Those of several places have a last axis of contacts.
+    """
+
+    arc: PerContact  # fraction of the length
+    parameter: PerContact  # of the object
     gap: Gap
-    force: PerWhisker  # along the normal, mean over the last step
-    drag: PerWhisker  # along the tangent, likewise
-    touches: Bool[Array, "*whiskers"]
-    slip: Int[Array, "*whiskers"]  # direction along the tangent; 0 if the contact sticks
-    began: Bool[Array, "*whiskers"]  # in the last step
-    deepest: PerWhisker  # least gap of the whole whisker if it is inside the object, otherwise infinite
+    force: PerContact  # along the normal, mean over the last step
+    drag: PerContact  # along the tangent, likewise
+    touches: Bool[Array, "*contacts"]
+    slip: Int[Array, "*contacts"]  # direction along the tangent; 0 if the contact sticks
+    began: Bool[Array, "*contacts"]  # in the last step
+    deepest: PerWhisker  # least gap where the whisker is inside the object beside its contacts, otherwise infinite
     others: PerWhisker | None = None  # least distance that other objects may have; None without any
+    # Of whiskers that may have several contacts; None of others.
+    away: Bool[Array, "*contacts"] | None = None  # places without contact in the next step
+    distance: PerWhisker | None = None  # from all objects
 
-    def lasts(self, arc: PerWhisker) -> Bool[Array, "*whiskers"]:
+    def lasts(self, arc: PerContact) -> Bool[Array, "*contacts"]:
         """Whether a contact at this point of the whisker, one step later, continues this one."""
         return self.touches & (jnp.abs(arc - self.arc) < LEAP)
 
-    def directions(self, gap: Gap, arc: PerWhisker) -> tuple[Array, Array, Array, Array]:
+    def directions(self, gap: Gap, arc: PerContact) -> tuple[Array, Array, Array, Array]:
         """Directions of the contact forces of a step that starts here and ends with this gap at this point.
 
         They are means over the step. A contact that begins acts at its end: before, other points were closest.

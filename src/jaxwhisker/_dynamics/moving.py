@@ -6,6 +6,7 @@ displacements of its base relative to the drive that springs leave free, in the 
 inextensible, and the rotary inertia of their cross-sections is neglected.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from jaxwhisker._dynamics.outline import outline
 from jaxwhisker._equilibrium.shaft_springs import Laws
 from jaxwhisker._model.motion import AbstractMotion, Pose, pose_of
 from jaxwhisker._model.network import along_all_axes
+from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, Sensor, time_unit, units_of
 from jaxwhisker._model.spring import AXES
@@ -73,6 +75,7 @@ class System(eqx.Module):
     laws: Laws  # of springs on shafts that are not linear
     free: tuple[int, ...] = eqx.field(static=True)  # free coordinates out of x, y, angle of base 1, then of base 2
     n: int = eqx.field(static=True)  # shape functions per whisker
+    contacts: int = eqx.field(static=True, default=1)  # of each whisker, at most
 
     @property
     def basis(self) -> Basis:
@@ -111,8 +114,28 @@ class System(eqx.Module):
 
     @property
     def contact_unknowns(self) -> int:
-        """Number of unknowns of each contact: arc length, parameter of the object, normal force, drag."""
-        return 0 if self.profile is None else 3 if self.friction is None else 4
+        """Number of unknowns of all contacts of a whisker: arc length, parameter, normal force and drag of each."""
+        return 0 if self.profile is None else self.contacts * (3 if self.friction is None else 4)
+
+    # Where whiskers may have several contacts, what belongs to contacts has an axis for them; otherwise it has none.
+
+    def by_contact(self, unknowns: Float[Array, "*batch contact"]) -> Array:
+        """The unknowns of contacts, with an axis for these if there may be several."""
+        return unknowns if self.contacts == 1 else unknowns.reshape(*unknowns.shape[:-1], self.contacts, -1)
+
+    def over_contacts(self, of_whiskers: Array) -> Array:
+        """What is known of whiskers, with an axis for contacts if there may be several."""
+        return of_whiskers if self.contacts == 1 else of_whiskers[:, None]
+
+    @property
+    def contact_shape(self) -> tuple[int, ...]:
+        """Shape of what is known of all contacts."""
+        whiskers = self.rods.length.shape[0]
+        return (whiskers,) if self.contacts == 1 else (whiskers, self.contacts)
+
+    def at_each(self, function: Callable) -> Callable:
+        """A function of one contact, as a function of all contacts of a whisker."""
+        return function if self.contacts == 1 else jax.vmap(function)
 
     @property
     def at_rest(self) -> Float[Array, " free"]:
@@ -155,14 +178,21 @@ def system_of(scene: Scene | Sensor, damping: Damping, n: int) -> System:
         rods=jax.tree.map(lambda *leaves: jnp.stack(leaves), *rods)._replace(held=held),
         mount=Pose(x / unit.length, y / unit.length, angle),
         network=_network(scene.support, damping.base, angle, unit, free) if free else None,
-        profile=outline(scene.profile.in_unit(unit.length)) if isinstance(scene, Scene) else None,
+        profile=_outline(scene, unit) if isinstance(scene, Scene) else None,
         friction=scene.friction if isinstance(scene, Scene) else None,
         mass_damping=damping.mass * unit.time,
         stiffness_damping=damping.stiffness / unit.time,
         laws=laws,
         free=free,
         n=n,
+        contacts=scene.contacts if isinstance(scene, Scene) else 1,
     )
+
+
+def _outline(scene: Scene, unit: MotionUnits) -> AbstractProfile:
+    # Candidates for several contacts are looked for on separate objects, also if there is only one.
+    profile = scene.profile if scene.contacts == 1 else Objects(scene.profile.objects)
+    return outline(profile.in_unit(unit.length))
 
 
 def _rod(whisker: Whisker, unit: MotionUnits, shapes: Basis) -> Rods:

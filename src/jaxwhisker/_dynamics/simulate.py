@@ -20,6 +20,7 @@ from jaxwhisker._dynamics.held import ends_of, energies
 from jaxwhisker._dynamics.motion_state import Moving
 from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose, motion_units, system_of
 from jaxwhisker._dynamics.outline import ObjectChain, number_of
+from jaxwhisker._dynamics.places import from_the_tip
 from jaxwhisker._dynamics.resolution import warn_of_shapes
 from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
 from jaxwhisker._dynamics.start import Start, initial, misfit, start_of
@@ -27,16 +28,17 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.state import State
 
 SHAPES = 12  # shape functions per whisker
+MOST_SHAPES, MOST_SHAPES_OF_SEVERAL = 20, 40  # the shear force jumps at each contact
 STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
 DEEPEST = 0.01  # penetration beyond which it is a second contact
+NO_ROOM = 1e-3  # penetration beyond which it is a contact for which there is no room
 SHORTEST = 3e-6  # T: rounding errors of reactions grow with 1 / h^2, to 1e-5 EI/L here
 CREATED = 0.05  # energy that contacts may create, relative to the energy at the start and the work of the drive
 CREATED_AT_REST = 1e-3  # the same without either, in EI / L of the first whisker
@@ -82,7 +84,7 @@ def simulate(
             springs, tension T + tau dT / dt; not negative.
         base_damping: viscous damping of each base relative to the drive: force per velocity along x and y and moment
             per angular velocity, in the frame of its mount, as a tuple; or a number for x. Not negative.
-        shapes: number of shape functions per whisker, from 2 to 20.
+        shapes: number of shape functions per whisker, from 2 to 20; up to 40 if whiskers may have several contacts.
 
     Returns:
         A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, `start` is
@@ -126,8 +128,9 @@ def simulate(
         checks.number("base_damping", value, non_negative=True)
     checks.count("every", every)
     checks.count("shapes", shapes, least=2)
-    if shapes > 20:
-        checks.fail("shapes", "at most 20", shapes)
+    most = MOST_SHAPES if getattr(scene, "contacts", 1) == 1 else MOST_SHAPES_OF_SEVERAL
+    if shapes > most:
+        checks.fail("shapes", f"at most {most}", shapes)
     if steps is not None:
         checks.count("steps", steps)
     warn_of_shapes(scene.whiskers, shapes)
@@ -136,6 +139,8 @@ def simulate(
     )
     steps = _default_steps(scene, duration) if steps is None else steps
     control = jax.tree.map(checks.as_float, drive_of(drive, duration))
+    if start is not None and getattr(scene, "contacts", 1) > 1:
+        checks.fail("start", "None for whiskers that may have several contacts", type(start).__name__)
     begin = None if start is None else start_of(scene, start, control)
     result, clear, off = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
@@ -153,10 +158,11 @@ def simulate(
 
 def _check_scene(scene: Any) -> None:
     checks.instance("scene", scene, (Scene, Sensor), "a Scene or a Sensor")
-    check_one_contact("scene", scene)
     for whisker in scene.whiskers:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
+    if isinstance(scene, Scene) and scene.profile.has_edges and scene.profile.is_concave:
+        checks.fail("profile", "without inner corners for a simulation", str(scene.profile))
     allowed = "one without {} for a simulation"
     if scene.support.shaft_loads:
         checks.fail("support", allowed.format("springs between the shafts of two whiskers"), scene.support.name)
@@ -202,7 +208,9 @@ def _simulate(
     first, found = initial(system, unit, start, poses[0], rates[0])
     clear = jnp.asarray(True)
     if first.rod.touching is not None:
-        clear = jnp.all(first.rod.touching.gap.distance > -(INSIDE if start is None else INSIDE_BENT))
+        at = first.rod.touching
+        least = at.gap.distance if at.distance is None else at.distance
+        clear = jnp.all(least > -(INSIDE if start is None else INSIDE_BENT))
     off = jnp.zeros(()) if start is None else misfit(system, unit, start, poses[0])
     good = valid & found & clear & ~(off > MISFIT) & jnp.all(jnp.isfinite(poses))
     first = first._replace(solved=good)
@@ -224,7 +232,8 @@ def _simulate(
     result = _result(given, system, unit, samples, _at_samples(forces, every))
     before = jax.lax.stop_gradient(result["energy"].total[0] / unit.energy)
     status = jnp.where(good, _status(solved, trace, before, h), Status.invalid)
-    events = events_of(trace, status == Status.ok, time, control) if trace is not None else _no_events()
+    ok = status == Status.ok
+    events = _no_events() if trace is None else events_of(trace, ok, time, control, system.contacts)
     status = status[::every]
     ok = status == Status.ok
     blank = {name: _where_ok(ok, value) for name, value in result.items()}
@@ -244,7 +253,12 @@ def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar, 
     if trace is not None:
         trace = jax.lax.stop_gradient(trace)
         most = before + jax.lax.cummax(jnp.abs(trace.work))
-        failures.append((jnp.any(trace.gap < -DEEPEST, axis=1), Status.second_contact))
+        deep = trace.gap < -DEEPEST
+        if trace.inside is None:
+            failures.append((jnp.any(deep, axis=1), Status.second_contact))
+        else:
+            failures.append((jnp.any(trace.inside < -NO_ROOM, axis=1), Status.too_many_contacts))
+            failures.append((jnp.any(deep, axis=1), Status.inexact))
         # Contacts of a resting object do no work, and impacts give nothing back.
         created = jnp.abs(trace.contact) + jax.lax.cummax(trace.impact) - trace.impact
         failures.append((created > CREATED * most + CREATED_AT_REST, Status.inexact))
@@ -278,10 +292,14 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     at = moving.rod.touching
     if at is None:
         return None
-    gap = jnp.minimum(at.gap.distance, at.deepest)
-    gap = gap if at.others is None else jnp.minimum(gap, at.others)
     ledger = moving.ledger
     energies = map(jnp.asarray, (ledger.work, ledger.contact, ledger.impact))
+    if at.away is not None:
+        gap = jnp.where(at.away, jnp.inf, at.gap.distance)
+        places = map(jnp.ravel, (at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[..., 0]))
+        return Trace(*places, *energies, arc=jnp.ravel(at.arc), inside=at.deepest)
+    gap = jnp.minimum(at.gap.distance, at.deepest)
+    gap = gap if at.others is None else jnp.minimum(gap, at.others)
     return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], *energies)
 
 
@@ -308,22 +326,22 @@ def _result(
     """Fields of the Simulation that are unknown after a failure."""
     rods, base = system.rods, samples.rod.base
     tip, touching = samples.rod.at[..., -1], samples.rod.touching
-    zero = jnp.zeros_like(samples.rod.spin)
+    zero = jnp.zeros_like(forces.normal)
     contact: dict[str, Any] = dict.fromkeys(("contact_slope", "contact_arc", "contact_x", "contact_y"), zero)
-    gap, phase = jnp.full_like(zero, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
+    gap, phase = jnp.full_like(samples.rod.spin, jnp.inf), jnp.full_like(zero, int(Phase.free), int)
     if touching is not None:
         at, touches = touching.gap.object, touching.touches
-        gap = touching.gap.distance * unit.length
+        gap = (touching.gap.distance if touching.distance is None else touching.distance) * unit.length
         phase = jnp.where(touching.gap.at_tip > 0, Phase.tip, Phase.tangential)
         phase = jnp.where(touches, phase, Phase.free)
         values = (
             jnp.arctan2(at.sin, at.cos),
-            touching.arc * rods.length * unit.length,
+            touching.arc * system.over_contacts(rods.length) * unit.length,
             at.x * unit.length,
             at.y * unit.length,
         )
         contact = {name: jnp.where(touches, value, 0.0) for name, value in zip(contact, values, strict=True)}
-        if isinstance(system.profile, ObjectChain):
+        if isinstance(system.profile, ObjectChain) and len(system.profile.each) > 1:
             contact["contact_object"] = jnp.where(touches, number_of(system.profile, touching.parameter) + 1, 0)
     friction: dict[str, Any] = {}
     contact_force = forces.normal
@@ -331,6 +349,9 @@ def _result(
         contact_force = jnp.hypot(forces.normal, forces.drag)
         friction = {"normal_force": forces.normal * unit.force, "friction_force": forces.drag * unit.force}
         friction["slip"] = jnp.where(touching.touches, touching.slip, 0)
+    contact |= {"contact_force": contact_force * unit.force, "phase": phase}
+    if system.contacts > 1 and touching is not None:
+        contact = from_the_tip(touching, contact)
     fx, fy, mz = jnp.moveaxis(forces.reaction, -1, 0)
     length = _lengths_on_shafts(system, samples)
     return {
@@ -340,10 +361,8 @@ def _result(
         "fx": fx * unit.force,
         "fy": fy * unit.force,
         "mz": mz * unit.moment,
-        "contact_force": contact_force * unit.force,
         **contact,
         **friction,
-        "phase": phase,
         "gap": gap,
         "spring_length": _spring_lengths(scene.support, system, unit, samples, length),
         "energy": _energy(system, unit, samples, length),

@@ -26,9 +26,11 @@ class TimedEvent(NamedTuple):
     whisker: int  # numbered from 1
     time: float
     control: float
+    contact: int | None = None  # numbered from 1, from the tip to the base; None if whiskers have one contact at most
 
     def __str__(self) -> str:
-        return f"t = {self.time:.9g}, u = {self.control:+.6f}  {self.kind.name} of whisker {self.whisker}"
+        at = "" if self.contact is None else f" at contact {self.contact}"
+        return f"t = {self.time:.9g}, u = {self.control:+.6f}  {self.kind.name} of whisker {self.whisker}{at}"
 
 
 class TimedEvents(eqx.Module):
@@ -47,6 +49,7 @@ class TimedEvents(eqx.Module):
     time: Float[Array, " events"]  # NaN beyond count
     control: Float[Array, " events"]  # drive position; NaN beyond count
     count: Int[Array, ""]
+    contact: Int[Array, " events"] | None = None  # numbered from the tip; 0 beyond count; None with one contact
 
     def __len__(self) -> int:
         if np.ndim(self.count) != 0:
@@ -61,7 +64,8 @@ class TimedEvents(eqx.Module):
         kind, whisker, time, control = (
             np.asarray(each)[k] for each in (self.kind, self.whisker, self.time, self.control)
         )
-        return TimedEvent(EventKind(int(kind)), int(whisker), float(time), float(control))
+        contact = None if self.contact is None else int(np.asarray(self.contact)[k])
+        return TimedEvent(EventKind(int(kind)), int(whisker), float(time), float(control), contact)
 
     def of(self, kind: EventKind, whisker: int | None = None) -> list[TimedEvent]:
         """The events of one kind, and of one whisker (numbered from 1) if given.
@@ -168,19 +172,34 @@ KINDS = (
 
 
 class Trace(NamedTuple):
-    """What events depend on, at the start and after every step; leading axis: times."""
+    """What events depend on, at the start and after every step; leading axis: times.
 
-    touches: Bool[Array, "times whiskers"]
-    force: Float[Array, "times whiskers"]  # mean over the step before
-    gap: Float[Array, "times whiskers"]
-    at_tip: Float[Array, "times whiskers"]
-    slope: Float[Array, "times whiskers"]  # sine of the object's slope
+    If whiskers may have several contacts, columns are those of the first whisker, then of the second.
+    """
+
+    touches: Bool[Array, "times contacts"]
+    force: Float[Array, "times contacts"]  # mean over the step before
+    gap: Float[Array, "times contacts"]
+    at_tip: Float[Array, "times contacts"]
+    slope: Float[Array, "times contacts"]  # sine of the object's slope
     work: Float[Array, " times"]  # of the drive, dimensionless as all others
     contact: Float[Array, " times"]  # work of contact forces along the normal
     impact: Float[Array, " times"]  # loss
+    arc: Float[Array, "times contacts"] | None = None  # with several contacts only, as the next one
+    inside: Float[Array, "times whiskers"] | None = None  # least gap where there is no room for a contact
 
 
-def events_of(trace: Trace, ok: Bool[Array, " times"], time: Float[Array, " times"], control) -> TimedEvents:
+def numbers_of(trace: Trace, contacts: int) -> Int[Array, "times contacts"]:
+    """Numbers of all contacts, from the tip to the base; of places without contact, that which they would have."""
+    assert trace.arc is not None
+    touches, arc = (values.reshape(values.shape[0], -1, contacts) for values in (trace.touches, trace.arc))
+    beyond = touches[:, :, None] & (arc[:, :, None] > arc[..., None])
+    return (1 + jnp.sum(beyond, axis=-1)).reshape(trace.touches.shape)
+
+
+def events_of(
+    trace: Trace, ok: Bool[Array, " times"], time: Float[Array, " times"], control, contacts: int = 1
+) -> TimedEvents:
     """All events until a failure: where the trace changes, with times between two steps by linear interpolation."""
     h, before = time[1] - time[0], time[:-1, None]
     now, was = trace.touches[1:], trace.touches[:-1]
@@ -214,18 +233,28 @@ def events_of(trace: Trace, ok: Bool[Array, " times"], time: Float[Array, " time
         axis=1,
     )
     found &= ok[1:, None, None]
+    if contacts > 1:  # a contact on a concave object passes a lowest point on the way into each of its valleys
+        found &= (jnp.arange(len(KINDS)) != KINDS.index(EventKind.vertex))[:, None]
     times = jnp.stack([touch, before + h * release, turn_time, turn_time, pass_time], axis=1)
     (at,) = jnp.nonzero(jnp.ravel(found), size=EVENTS, fill_value=found.size)
     ahead = at < found.size
-    _, kind, whisker = jnp.unravel_index(jnp.minimum(at, found.size - 1), found.shape)
+    step, kind, whisker = jnp.unravel_index(jnp.minimum(at, found.size - 1), found.shape)
     when = jnp.where(ahead, jnp.ravel(times)[jnp.minimum(at, found.size - 1)], jnp.inf)
     order = jnp.argsort(jax.lax.stop_gradient(when))
     when, kind, whisker, ahead = (values[order] for values in (when, kind, whisker, ahead))
     safe = jnp.where(ahead, when, time[0])
+    number = None
+    if contacts > 1:
+        column, step, numbers = whisker, step[order], numbers_of(trace, contacts)
+        whisker = column // contacts
+        # After a touch, and before everything else.
+        number = jnp.where(kind == KINDS.index(EventKind.touch), numbers[step + 1, column], numbers[step, column])
+        number = jnp.where(ahead, number, 0)
     return TimedEvents(
         jnp.where(ahead, jnp.array([int(kind) for kind in KINDS])[kind], -1),
         jnp.where(ahead, whisker + 1, 0),
         jnp.where(ahead, safe, jnp.nan),
         jnp.where(ahead, jax.vmap(control)(safe), jnp.nan),
         jnp.sum(found),
+        number,
     )

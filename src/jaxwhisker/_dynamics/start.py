@@ -16,6 +16,7 @@ from jaxwhisker._dynamics.gap import closest, gap_at, others_distance
 from jaxwhisker._dynamics.legendre import polynomials_at, weights_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
+from jaxwhisker._dynamics.places import without_contacts
 from jaxwhisker._dynamics.time_step import load_at
 from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
@@ -165,20 +166,26 @@ def initial(
             q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
         angle = angles_of(system, q, base)
         at = nodes_of(system, base, angle)
-
-        several = len(system.profile.objects) > 1
-
-        def nearest(*pose):
-            here = posed(system, *pose)
-            points = closest(here)
-            return *points, gap_at(here, *points), others_distance(here, points[1]) if several else None
-
-        arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
-        touching = Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, none + jnp.inf, others)
+        one = system.contacts == 1
+        touching = _closest(system, base, angle, touches) if one else without_contacts(system, base, angle)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
     return Moving(rod, z, drive, jnp.zeros((2, count)), ledger, jnp.asarray(True)), found
+
+
+def _closest(system: System, base: Array, angle: Array, touches: Bool[Array, " whiskers"]) -> Touching:
+    """The closest points of all whiskers, which have one contact at most."""
+    assert system.profile is not None
+    several, none = len(system.profile.objects) > 1, jnp.zeros(touches.size)
+
+    def nearest(*pose):
+        here = posed(system, *pose)
+        points = closest(here)
+        return *points, gap_at(here, *points), others_distance(here, points[1]) if several else None
+
+    arc, parameter, gap, others = jax.vmap(nearest)(system.rods.length, base, angle)
+    return Touching(arc, parameter, gap, none, none, touches, none.astype(int), touches, none + jnp.inf, others)
 
 
 def misfit(system: System, unit: MotionUnits, start: Start, drive: Float[Array, "3"]) -> Float[Array, ""]:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import inverse
+from jaxwhisker._base.linear_algebra import inverse, solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.motion_state import Moving, Rod
 from jaxwhisker._dynamics.moving import Rods, System
@@ -21,8 +21,8 @@ class Impulse(NamedTuple):
 
     velocity: Float[Array, "*whiskers 2 nodes"]  # changes
     spin: Float[Array, "*whiskers"]
-    normal: Float[Array, "*whiskers"]
-    drag: Float[Array, "*whiskers"]
+    normal: Float[Array, "*contacts"]
+    drag: Float[Array, "*contacts"]
     reaction: Float[Array, "*whiskers 3"]  # of the support
     work: Float[Array, "*whiskers"]  # of the support
     loss: Float[Array, "*whiskers"]
@@ -68,9 +68,13 @@ def _impulse(
     apart = rod.at - rod.base[:2, None]
     about = jnp.stack([-apart[1], apart[0]])  # velocities of the nodes when the base turns
     moves = rods.length * (shapes.reach @ (turning[:, :, None] * shapes.angles))
-    gradients = [jnp.stack([touching.gap.across, touching.gap.along]) @ shapes.angles]
-    turns = jnp.stack([jnp.sum(touching.gap.across), jnp.sum(touching.gap.along)])
-    directions = jnp.stack([touching.gap.normal, touching.gap.tangent])
+    if system.contacts == 1:
+        gradients = [jnp.stack([touching.gap.across, touching.gap.along]) @ shapes.angles]
+        turns = jnp.stack([jnp.sum(touching.gap.across), jnp.sum(touching.gap.along)])
+        directions = jnp.stack([touching.gap.normal, touching.gap.tangent])
+    else:
+        gradients = [touching.gap.across @ shapes.angles]
+        turns, directions = jnp.sum(touching.gap.across, axis=1), touching.gap.normal
     own, spin = rod.velocity - carried[:2, None] - carried[2] * about, rod.spin - carried[2]
     if system.free:
         shifts = jnp.broadcast_to(frame[:, None, :], (*apart.shape, 2))
@@ -90,15 +94,42 @@ def _impulse(
     speed, answers = inverted @ momentum, gradients @ inverted
     rates = gradients @ speed + directions @ carried[:2] + turns * carried[2]
     ease = gradients @ answers.T
-    so_far = h * jnp.stack([touching.force, touching.drag])
-    given = jnp.where(touching.touches, balanced(system.friction, touching.slip, so_far, rates, ease), 0.0)
+    if system.contacts == 1:
+        so_far = h * jnp.stack([touching.force, touching.drag])
+        given = jnp.where(touching.touches, balanced(system.friction, touching.slip, so_far, rates, ease), 0.0)
+        normal, drag = given[0], given[1]
+    else:
+        given = normal = pushes(touching.touches, h * touching.force, rates, ease)
+        drag = jnp.zeros_like(given)
     change = given @ answers
     velocity, spun = moves @ change, change[-1] if system.free else jnp.zeros(())
     pushed = jnp.sum(rods.mass * velocity, axis=-1) - given @ directions
     twisted = jnp.sum(rods.mass * about * velocity) + inertia * spun - given @ turns
     reaction = jnp.append(pushed, twisted)
     loss = -given @ rates - given @ ease @ given / 2
-    return Impulse(velocity, spun, given[0], given[1], reaction, carried @ reaction, loss)
+    return Impulse(velocity, spun, normal, drag, reaction, carried @ reaction, loss)
+
+
+def pushes(
+    touches: Bool[Array, " contacts"],
+    so_far: Float[Array, " contacts"],
+    rates: Float[Array, " contacts"],
+    ease: Float[Array, "contacts contacts"],
+) -> Float[Array, " contacts"]:
+    """Normal impulses at several contacts of one whisker; contacts that would have to pull are left out.
+
+    Args:
+        touches: where there are contacts.
+        so_far: impulses during this step.
+        rates: velocities along the normals.
+        ease: their changes by impulses.
+    """
+    acts, given = touches, jnp.zeros_like(rates)
+    for _ in range(touches.size):
+        matrix = jnp.where(acts[:, None] & acts, ease, jnp.eye(touches.size))
+        given = solve(matrix, jnp.where(acts, -rates, 0.0)[:, None])[:, 0]
+        acts &= so_far + given >= 0
+    return jnp.where(acts, given, 0.0)
 
 
 def balanced(

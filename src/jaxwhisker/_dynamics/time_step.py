@@ -33,35 +33,37 @@ from jaxwhisker._dynamics.held import Pulls, ends_of, pulls_of
 from jaxwhisker._dynamics.legendre import sinc
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
+from jaxwhisker._dynamics.outline import number_of
 from jaxwhisker._model.profile import AbstractProfile
 
 FADES_IN_TIME, FADES_ON_WAY = 1.0, 3.0  # rates at which penetrations fade, per time and per travel of the drive
+SAME_PLACE = 1e-3  # of the length: contacts that are closer to each other are one
 SLIPS_IN = 5e-3  # penetration, in lengths, that is accepted in the step in which a contact slips off an edge
 
-PerWhisker = Float[Array, " whiskers"]
+PerContact = Float[Array, "*contacts"]  # of all whiskers
 
 
 class Imposed(NamedTuple):
     """What is imposed on contacts for which Newton's method does not find a mode."""
 
-    free: Bool[Array, "*whiskers"]  # no force
-    held: Bool[Array, "*whiskers"]  # at its old point of the whisker or with the old normal of an edge; no friction
+    free: Bool[Array, "*contacts"]  # no force
+    held: Bool[Array, "*contacts"]  # at its old point of the whisker or with the old normal of an edge; no friction
 
 
 class ContactMode(NamedTuple):
     """Which equations contacts satisfy at the end of a step."""
 
-    touches: Bool[Array, "*whiskers"]
-    slip: Int[Array, "*whiskers"]  # +1 or -1 along the object; 0 if the contact sticks or is held
+    touches: Bool[Array, "*contacts"]
+    slip: Int[Array, "*contacts"]  # +1 or -1 along the object; 0 if the contact sticks or is held
     imposed: Imposed
 
     @property
-    def acts(self) -> Bool[Array, "*whiskers"]:
+    def acts(self) -> Bool[Array, "*contacts"]:
         """Whether the gap is closed; otherwise there is no force."""
         return self.touches & ~self.imposed.free
 
     @property
-    def sticks(self) -> Bool[Array, "*whiskers"]:
+    def sticks(self) -> Bool[Array, "*contacts"]:
         """Whether the contact sticks to the object."""
         return self.acts & (self.slip == 0) & ~self.imposed.held
 
@@ -70,8 +72,8 @@ class Forces(NamedTuple):
     """Mean forces of a step."""
 
     reaction: Float[Array, "whiskers 3"]  # support on whisker, in the scene: fx, fy, mz
-    normal: PerWhisker
-    drag: PerWhisker
+    normal: PerContact
+    drag: PerContact
 
 
 class StepTrial(NamedTuple):
@@ -124,24 +126,10 @@ def rows_of(
     torque = rods.length * sinc(half) * (jnp.cos(middle) * moments[1] - jnp.sin(middle) * moments[0])
     gap, rows = None, jnp.zeros(0)
     if system.profile is not None:
-        assert old.touching is not None
-        gap = gap_at(posed(system, rods.length, base, angle), contact[0], contact[1])
-        across, normal, along, tangent = old.touching.directions(gap, contact[0])
-        closed = across @ (angle - old.angle) + normal @ (base - old.base)[:2]
-        before = jnp.where(old.touching.lasts(contact[0]), old.touching.gap.distance, gap.distance - closed)
-        faded = FADES_IN_TIME * h + FADES_ON_WAY * jnp.sum(jnp.abs(step.drive - step.old.drive))
-        above = gap.distance - jnp.minimum(0.0, jnp.exp(-faded) * before)
-        torque -= contact[2] * across
-        push -= contact[2] * normal
-        slipped = along @ (angle - old.angle) + tangent @ (base - old.base)[:2]
-        mode = mode if isinstance(mode, ContactMode) else _mode(system, contact, above, slipped, mode)
-        end = jnp.where(mode.imposed.held, _held(system.profile, contact, old.touching), gap.end)
-        rows = jnp.stack([end, gap.foot, jnp.where(mode.acts, above, contact[2])])
-        if system.friction is not None:
-            torque -= contact[3] * along
-            push -= contact[3] * tangent
-            dragged = contact[3] + system.friction * mode.slip * contact[2]
-            rows = jnp.append(rows, jnp.where(mode.sticks, slipped, dragged))
+        gap, mode, rows, loads = _contacts_of(step, rods, old, mode, contact, base, angle)
+        for turns, pushes in loads:
+            torque -= turns
+            push -= pushes
     mode = mode if isinstance(mode, ContactMode) else ContactMode(jnp.asarray(False), jnp.asarray(0), mode)
     bending = old.q + (ahead + system.stiffness_damping / h) * (q - old.q)
     bent = torque @ shapes.angles + jnp.sum(rods.stiffness * bending, axis=-1)
@@ -150,6 +138,57 @@ def rows_of(
         bent -= pulls.load[:, 2] @ rods.held.bends
         twist -= jnp.sum(pulls.about_base[:, 2])
     return Rows(bent, rows, jnp.append(push, twist)), StepTrial(angle, gap, mode)
+
+
+Loads = list[tuple[Array, Array]]  # torques at the Gauss points, and forces
+
+
+def _contacts_of(
+    step: TimeStep, rods: Rods, old: Rod, mode: ContactMode | Imposed, contact: Array, base: Array, angle: Array
+) -> tuple[Gap, ContactMode, Array, Loads]:
+    """Gaps, modes, residuals and loads of the contacts of one whisker."""
+    system, h = step.system, step.h
+    here = posed(system, rods.length, base, angle)
+    turned, shifted = angle - old.angle, (base - old.base)[:2]
+
+    def one(old: Touching, mode: ContactMode | Imposed, contact: Array, barred: Array | None):
+        assert system.profile is not None
+        gap = gap_at(here, contact[0], contact[1])
+        across, normal, along, tangent = old.directions(gap, contact[0])
+        closed = across @ turned + normal @ shifted
+        before = jnp.where(old.lasts(contact[0]), old.gap.distance, gap.distance - closed)
+        faded = FADES_IN_TIME * h + FADES_ON_WAY * jnp.sum(jnp.abs(step.drive - step.old.drive))
+        above = gap.distance - jnp.minimum(0.0, jnp.exp(-faded) * before)
+        loads = [(contact[2] * across, contact[2] * normal)]
+        slipped = along @ turned + tangent @ shifted
+        mode = mode if isinstance(mode, ContactMode) else _mode(system, contact, above, slipped, mode, barred)
+        end = jnp.where(mode.imposed.held, _held(system.profile, contact, old), gap.end)
+        rows = jnp.stack([end, gap.foot, jnp.where(mode.acts, above, contact[2])])
+        if old.away is not None:
+            rows = jnp.where(old.away, contact - jnp.stack([old.arc, old.parameter, 0.0]), rows)
+        if system.friction is not None:
+            loads.append((contact[3] * along, contact[3] * tangent))
+            dragged = contact[3] + system.friction * mode.slip * contact[2]
+            rows = jnp.append(rows, jnp.where(mode.sticks, slipped, dragged))
+        return gap, mode, rows, loads
+
+    assert old.touching is not None
+    if system.contacts == 1:
+        return one(old.touching, mode, contact, None)
+    contacts = system.by_contact(contact)
+    each = old.touching._replace(deepest=None, others=None, distance=None)  # of whiskers
+    gap, mode, rows, loads = jax.vmap(one)(each, mode, contacts, barred(system, old.touching, contacts))
+    return gap, mode, jnp.ravel(rows), jax.tree.map(lambda load: jnp.sum(load, axis=0), loads)
+
+
+def barred(system: System, old: Touching, contacts: Float[Array, "contacts contact"]) -> Bool[Array, " contacts"]:
+    """Which of several contacts of a whisker may not be: they are away from the object, or where another one is."""
+    assert system.profile is not None and old.away is not None
+    arc, number = contacts[:, 0], number_of(system.profile, contacts[:, 1])
+    same = (jnp.abs(arc[:, None] - arc) < SAME_PLACE) & (number[:, None] == number)
+    place = jnp.arange(arc.size)
+    earlier = jnp.where(old.touches[:, None] == old.touches, place[:, None] > place, old.touches)
+    return old.away | jnp.any(same & earlier & ~old.away, axis=1)
 
 
 def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
@@ -170,9 +209,18 @@ def pulls_on(step: TimeStep, rods: Rods, old: Rod, q: Array, base: Array, angle:
     return pulls_of(rods.held, step.system.laws, first, last, turns, step.old.ahead, lag)
 
 
-def _mode(system: System, contact: Array, gap: Scalar, slipped: Scalar, imposed: Imposed) -> ContactMode:
+def _mode(
+    system: System,
+    contact: Array,
+    gap: Scalar,
+    slipped: Scalar,
+    imposed: Imposed,
+    barred: Bool[Array, ""] | None = None,
+) -> ContactMode:
     """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
     touches = contact[2] > gap + jnp.where(imposed.free, SLIPS_IN, 0.0)
+    if barred is not None:
+        touches &= ~barred
     if system.friction is None:
         return ContactMode(touches, jnp.asarray(0), imposed)
     drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
@@ -184,7 +232,7 @@ class StepUnknowns(NamedTuple):
     """What a step solves for."""
 
     q: Float[Array, "whiskers n"]
-    contact: Float[Array, "whiskers contact"]  # arc, parameter, normal force, with friction also drag
+    contact: Float[Array, "whiskers contact"]  # arc, parameter, normal force, with friction also drag, of each one
     z: Float[Array, " free"]
 
     def flat(self) -> Float[Array, " unknowns"]:
@@ -204,7 +252,8 @@ def unknowns_at(moving: Moving, system: System) -> StepUnknowns:
     at, c = moving.rod.touching, system.contact_unknowns
     if at is None:
         return StepUnknowns(moving.rod.q, jnp.zeros((moving.rod.q.shape[0], 0)), moving.z)
-    return StepUnknowns(moving.rod.q, jnp.stack([at.arc, at.parameter, at.force, at.drag][:c], axis=-1), moving.z)
+    contact = jnp.stack([at.arc, at.parameter, at.force, at.drag][: c // system.contacts], axis=-1)
+    return StepUnknowns(moving.rod.q, contact if system.contacts == 1 else contact.reshape(-1, c), moving.z)
 
 
 def every(step: TimeStep, mode: ContactMode, x: StepUnknowns) -> tuple[Rows, StepTrial]:

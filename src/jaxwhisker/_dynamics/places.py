@@ -1,0 +1,160 @@
+"""Places where a moving whisker that may have several contacts is close to objects.
+
+Along the shaft, the gap to an object has a minimum at each contact. All other minima, and the tip, are candidates for
+new contacts, as in scans. At the end of every step they are looked for anew: the places of a whisker are its contacts
+and, as far as there is room, the candidates with the smallest gaps. In a step, each place follows its minimum; where
+the gap closes, it becomes a contact.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.gaps import gaps_of
+from jaxwhisker._chain.shaft import WholeShaft
+from jaxwhisker._dynamics.gap import gap_at
+from jaxwhisker._dynamics.legendre import Basis, weights_at
+from jaxwhisker._dynamics.motion_state import Moving, Touching, posed
+from jaxwhisker._dynamics.moving import System
+from jaxwhisker._dynamics.outline import ObjectChain
+from jaxwhisker._dynamics.time_step import unknowns_of
+from jaxwhisker._equilibrium.contact import PARAMETER, SLACK, Phase
+
+NEAR = 0.05  # lengths: places with a larger gap are not followed in a step
+STEPS = 20  # cells of the shaft between two contacts
+FRACTIONS = (1 - np.cos(np.pi * np.arange(STEPS + 1) / STEPS)) / 2
+
+
+class Places(NamedTuple):
+    """Places of one whisker that may become contacts, and contacts; or those of all whiskers, stacked."""
+
+    arc: Float[Array, "*whiskers contacts"]  # fraction of the length
+    parameter: Float[Array, "*whiskers contacts"]  # of the outline
+    away: Bool[Array, "*whiskers contacts"]  # neither close to an object nor a contact
+    distance: Float[Array, "*whiskers"]  # of the whisker from all objects, in lengths of the first one
+    without: Float[Array, "*whiskers"]  # least gap where there is no room for another place
+
+
+class Contacts(NamedTuple):
+    """Contacts of one whisker."""
+
+    arc: Float[Array, " contacts"]
+    parameter: Float[Array, " contacts"]
+    touches: Bool[Array, " contacts"]
+    at_tip: Bool[Array, " contacts"]
+
+
+def places_of(system: System, length: Scalar, base: Array, angle: Array, contacts: Contacts) -> Places:
+    """The places of one whisker with these contacts, without derivatives."""
+    profile, touches = system.profile, contacts.touches
+    assert isinstance(profile, ObjectChain) and profile.placeholder_parameter is not None
+    shaft = _shaft(system.basis, profile, length, base, angle, contacts)
+    found = gaps_of(profile, shaft, length)
+    new, shift = found.candidates, jnp.stack([jnp.asarray(shift) for shift in profile.shift])
+    number = profile.object_of(new.piece)
+    assert number is not None
+    arc = jnp.where(new.phase == Phase.tip, 1.0, 1 - new.numbers[:, SLACK] / length)
+    parameter = new.numbers[:, PARAMETER] + shift[number]
+    order = jnp.argsort(new.gap)
+    least = jnp.append(new.gap[order], jnp.full(touches.size + 1, jnp.inf))
+    order = jnp.append(order, jnp.zeros(touches.size, int))
+    rank = jnp.cumsum(~touches) - 1  # of places that are free
+    near = ~touches & (least[rank] < NEAR)
+    placeholder = profile.placeholder_parameter[0] + shift[0]
+    outside = jnp.where(touches, jnp.inf, least[rank])
+    return Places(
+        arc=jnp.where(touches, contacts.arc, jnp.where(near, arc[order[rank]], 1.0)),
+        parameter=jnp.where(touches, contacts.parameter, jnp.where(near, parameter[order[rank]], placeholder)),
+        away=~touches & ~near,
+        distance=jnp.minimum(found.distance, jnp.min(outside)),
+        without=jnp.minimum(least[jnp.sum(~touches)], found.base),
+    )
+
+
+def _shaft(
+    basis: Basis, profile: ObjectChain, length: Scalar, base: Array, angle: Array, contacts: Contacts
+) -> WholeShaft:
+    """Points of a whisker, from the tip to the base, in segments between its contacts."""
+    from_tip = jnp.where(contacts.touches, jnp.where(contacts.at_tip, 0.0, 1 - contacts.arc), 1.0)
+    order = jnp.argsort(from_tip)
+    own = jax.vmap(profile.piece_of)(contacts.parameter)
+    piece = jnp.where(contacts.touches, own, -1)[order]
+    starts, ends = jnp.append(0.0, from_tip[order]), jnp.append(from_tip[order], 1.0)
+    beyond = starts[:, None] + FRACTIONS * (ends - starts)[:, None]
+    turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
+
+    def at(beyond):
+        def line(arc):
+            return weights_at(basis, arc) @ turned
+
+        arc = 1 - beyond
+        (direction, way), (bend, _) = jax.jvp(line, (arc,), (jnp.ones_like(arc),))
+        x, y = base[:2] + length * way
+        cos, sin = direction / jnp.linalg.norm(direction)
+        return x, y, cos, sin, (cos * bend[1] - sin * bend[0]) / length
+
+    x, y, cos, sin, curvature = jax.vmap(jax.vmap(at))(beyond)
+    return WholeShaft(length * beyond, x, y, cos, sin, curvature, jnp.append(-1, piece), jnp.append(piece, -1))
+
+
+def with_places(system: System, moving: Moving) -> Moving:
+    """The state with the places of all whiskers, at the end of a step."""
+    rod, at = moving.rod, moving.rod.touching
+    assert at is not None
+    contacts = Contacts(at.arc, at.parameter, at.touches, at.gap.at_tip > 0)
+    fixed, *known = jax.lax.stop_gradient((system, system.rods.length, rod.base, rod.angle, contacts))
+    found = jax.vmap(lambda *own: places_of(fixed, *own))(*known)
+    # Contacts keep their derivatives. Places without contact have none.
+    arc, parameter = (
+        jnp.where(at.touches, own, place) for own, place in ((at.arc, found.arc), (at.parameter, found.parameter))
+    )
+    last = unknowns_of(system, moving.change[0])
+    change = jnp.where(at.touches[..., None], system.by_contact(last.contact), 0.0)
+    last = last._replace(contact=change.reshape(last.contact.shape))
+    touching = at._replace(
+        arc=arc,
+        parameter=parameter,
+        gap=gaps_at(system, rod.base, rod.angle, arc, parameter),
+        deepest=found.without,
+        away=found.away,
+        distance=found.distance,
+    )
+    return moving._replace(rod=rod._replace(touching=touching), change=moving.change.at[0].set(last.flat()))
+
+
+def gaps_at(system: System, base: Array, angle: Array, arc: Array, parameter: Array):
+    """Gaps of all whiskers at their places."""
+
+    def one(length, base, angle, arc, parameter):
+        here = posed(system, length, base, angle)
+        return jax.vmap(lambda *place: gap_at(here, *place))(arc, parameter)
+
+    return jax.vmap(one)(system.rods.length, base, angle, arc, parameter)
+
+
+def without_contacts(system: System, base: Array, angle: Array) -> Touching:
+    """The places of whiskers that do not touch yet."""
+    none = jnp.zeros(system.contact_shape)
+    contacts = Contacts(none, none, none > 0, none > 0)
+    poses = jax.lax.stop_gradient((system.rods.length, base, angle))
+    fixed = jax.lax.stop_gradient(system)
+    found = jax.vmap(lambda *own: places_of(fixed, *own))(*poses, contacts)
+    gap = gaps_at(system, base, angle, found.arc, found.parameter)
+    still = none, none, none > 0, none.astype(int), none > 0
+    return Touching(
+        found.arc, found.parameter, gap, *still, found.without, None, away=found.away, distance=found.distance
+    )
+
+
+def from_the_tip(touching: Touching, fields: dict[str, Array]) -> dict[str, Array]:
+    """Fields (samples, whiskers, contacts) of places, ordered from the tip to the base; zero without contact."""
+    order = jnp.argsort(jnp.where(touching.touches, -jax.lax.stop_gradient(touching.arc), 1.0), axis=-1)
+
+    def ordered(values):
+        return jnp.take_along_axis(jnp.where(touching.touches, values, jnp.zeros_like(values)), order, axis=-1)
+
+    return {name: ordered(values) for name, values in fields.items()}
