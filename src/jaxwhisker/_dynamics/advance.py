@@ -180,7 +180,8 @@ def advance(system: System, old: Moving, drive: Array, rate: Array, h: Scalar) -
         if others is not None:
             others -= jnp.max(jnp.linalg.norm(jax.lax.stop_gradient(at - old.rod.at), axis=1), axis=1)
         found = arc, parameter, trial.gap, normal, drag, mode.touches, mode.slip, began, outside, others
-        touching = Touching(*found, old.rod.touching.away, old.rod.touching.distance)
+        was = old.rod.touching
+        touching = Touching(*found, piece=was.piece, away=was.away, distance=was.distance)
     velocity = old.rod.velocity + ((at - old.rod.at) / h - old.rod.velocity) / old.ahead
     spin = old.rod.spin + ((base[:, 2] - old.rod.base[:, 2]) / h - old.rod.spin) / old.ahead
     new = Moving(

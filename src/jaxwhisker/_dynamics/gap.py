@@ -42,8 +42,8 @@ class Posed(NamedTuple):
 def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     """The gap between the whisker at a fraction `arc` of its length and the object at a parameter."""
     cos, sin = jnp.cos(posed.angle), jnp.sin(posed.angle)
-    weights, bends = _with_rate(lambda arc: weights_at(posed.basis, arc), arc)
-    at, moves = _with_rate(posed.profile.point, parameter)
+    weights, bends = with_rate(lambda arc: weights_at(posed.basis, arc), arc)
+    at, moves = with_rate(posed.profile.point, parameter)
     turned = jnp.stack([cos, sin], axis=-1)
     direction, way = weights @ turned
     normal, tangent = at.normal, jnp.stack([at.cos, at.sin])
@@ -72,7 +72,7 @@ def gap_at(posed: Posed, arc: Scalar, parameter: Scalar) -> Gap:
     )
 
 
-def _with_rate(function: Callable[[Scalar], Any], at: Scalar) -> tuple[Any, Any]:
+def with_rate(function: Callable[[Scalar], Any], at: Scalar) -> tuple[Any, Any]:
     """Values and their derivative, which is computed once instead of in all directions; exact to first order."""
     at = first_order(jnp.asarray(at))
     here = jax.lax.stop_gradient(at)

@@ -32,6 +32,7 @@ class Touching(NamedTuple):
     deepest: PerWhisker  # least gap where the whisker is inside the object beside its contacts, otherwise infinite
     others: PerWhisker | None = None  # least distance that other objects may have; None without any
     # Of whiskers that may have several contacts; None of others.
+    piece: Int[Array, "*contacts"] | None = None  # of the object
     away: Bool[Array, "*contacts"] | None = None  # places without contact in the next step
     distance: PerWhisker | None = None  # from all objects
 

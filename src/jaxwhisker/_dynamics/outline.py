@@ -26,17 +26,6 @@ class ObjectChain(Objects):
         # A smooth object is an arc, and has an odd number.
         return self._at(lambda one, own: one.piece_at(own) if one.has_edges else jnp.asarray(1), parameter)
 
-    def piece_of(self, parameter: Scalar) -> Int[Array, ""]:
-        """The piece with this parameter, numbered as those of several objects are."""
-        at = jnp.asarray(parameter)
-        firsts = self.first_pieces()
-
-        pieces = [
-            first + (0 if (piece := one.piece_at(own)) is None else piece)
-            for first, (one, own, _) in zip(firsts, objects_at(self, at), strict=True)
-        ]
-        return numbered(number_of(self, at), pieces)
-
     def _at(self, function: Callable[[AbstractProfile, Scalar], Any], parameter: Scalar) -> Any:
         """A function of the object with this parameter and of its own parameter."""
         at = jnp.asarray(parameter)

@@ -11,12 +11,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.gaps import gaps_of
 from jaxwhisker._chain.shaft import WholeShaft
-from jaxwhisker._dynamics.gap import gap_at
+from jaxwhisker._dynamics.features import gap_on, next_piece, with_tips_at_faces
+from jaxwhisker._dynamics.gap import Gap
 from jaxwhisker._dynamics.legendre import Basis, weights_at
 from jaxwhisker._dynamics.motion_state import Moving, Touching, posed
 from jaxwhisker._dynamics.moving import System
@@ -34,6 +35,7 @@ class Places(NamedTuple):
 
     arc: Float[Array, "*whiskers contacts"]  # fraction of the length
     parameter: Float[Array, "*whiskers contacts"]  # of the outline
+    piece: Int[Array, "*whiskers contacts"]
     away: Bool[Array, "*whiskers contacts"]  # neither close to an object nor a contact
     distance: Float[Array, "*whiskers"]  # of the whisker from all objects, in lengths of the first one
     without: Float[Array, "*whiskers"]  # least gap where there is no room for another place
@@ -44,6 +46,7 @@ class Contacts(NamedTuple):
 
     arc: Float[Array, " contacts"]
     parameter: Float[Array, " contacts"]
+    piece: Int[Array, " contacts"]
     touches: Bool[Array, " contacts"]
     at_tip: Bool[Array, " contacts"]
 
@@ -52,15 +55,20 @@ def places_of(system: System, length: Scalar, base: Array, angle: Array, contact
     """The places of one whisker with these contacts, without derivatives."""
     profile, touches = system.profile, contacts.touches
     assert isinstance(profile, ObjectChain) and profile.placeholder_parameter is not None
-    shaft = _shaft(system.basis, profile, length, base, angle, contacts)
+    shaft = _shaft(system.basis, length, base, angle, contacts)
     found = gaps_of(profile, shaft, length)
-    new, shift = found.candidates, jnp.stack([jnp.asarray(shift) for shift in profile.shift])
+    new = found.candidates
+    if profile.has_edges:
+        new = with_tips_at_faces(profile, new, shaft)
+    shift = jnp.stack([jnp.asarray(shift) for shift in profile.shift])
     number = profile.object_of(new.piece)
     assert number is not None
     arc = jnp.where(new.phase == Phase.tip, 1.0, 1 - new.numbers[:, SLACK] / length)
     parameter = new.numbers[:, PARAMETER] + shift[number]
-    order = jnp.argsort(new.gap)
-    least = jnp.append(new.gap[order], jnp.full(touches.size + 1, jnp.inf))
+    # A shaft that is just inside a face may be deep behind the next corner, which it does not touch.
+    gaps = jnp.where(new.gap > -NEAR, new.gap, jnp.inf)
+    order = jnp.argsort(gaps)
+    least = jnp.append(gaps[order], jnp.full(touches.size + 1, jnp.inf))
     order = jnp.append(order, jnp.zeros(touches.size, int))
     rank = jnp.cumsum(~touches) - 1  # of places that are free
     near = ~touches & (least[rank] < NEAR)
@@ -69,20 +77,18 @@ def places_of(system: System, length: Scalar, base: Array, angle: Array, contact
     return Places(
         arc=jnp.where(touches, contacts.arc, jnp.where(near, arc[order[rank]], 1.0)),
         parameter=jnp.where(touches, contacts.parameter, jnp.where(near, parameter[order[rank]], placeholder)),
+        piece=jnp.where(touches, contacts.piece, jnp.where(near, new.piece[order[rank]], 0)),
         away=~touches & ~near,
         distance=jnp.minimum(found.distance, jnp.min(outside)),
         without=jnp.minimum(least[jnp.sum(~touches)], found.base),
     )
 
 
-def _shaft(
-    basis: Basis, profile: ObjectChain, length: Scalar, base: Array, angle: Array, contacts: Contacts
-) -> WholeShaft:
+def _shaft(basis: Basis, length: Scalar, base: Array, angle: Array, contacts: Contacts) -> WholeShaft:
     """Points of a whisker, from the tip to the base, in segments between its contacts."""
     from_tip = jnp.where(contacts.touches, jnp.where(contacts.at_tip, 0.0, 1 - contacts.arc), 1.0)
     order = jnp.argsort(from_tip)
-    own = jax.vmap(profile.piece_of)(contacts.parameter)
-    piece = jnp.where(contacts.touches, own, -1)[order]
+    piece = jnp.where(contacts.touches, contacts.piece, -1)[order]
     starts, ends = jnp.append(0.0, from_tip[order]), jnp.append(from_tip[order], 1.0)
     beyond = starts[:, None] + FRACTIONS * (ends - starts)[:, None]
     turned = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
@@ -105,7 +111,9 @@ def with_places(system: System, moving: Moving) -> Moving:
     """The state with the places of all whiskers, at the end of a step."""
     rod, at = moving.rod, moving.rod.touching
     assert at is not None
-    contacts = Contacts(at.arc, at.parameter, at.touches, at.gap.at_tip > 0)
+    assert isinstance(system.profile, ObjectChain) and at.piece is not None
+    piece = next_piece(system.profile, at.piece, at.parameter) if system.profile.has_edges else at.piece
+    contacts = Contacts(at.arc, at.parameter, piece, at.touches, at.gap.at_tip > 0)
     fixed, *known = jax.lax.stop_gradient((system, system.rods.length, rod.base, rod.angle, contacts))
     found = jax.vmap(lambda *own: places_of(fixed, *own))(*known)
     # Contacts keep their derivatives. Places without contact have none.
@@ -118,7 +126,8 @@ def with_places(system: System, moving: Moving) -> Moving:
     touching = at._replace(
         arc=arc,
         parameter=parameter,
-        gap=gaps_at(system, rod.base, rod.angle, arc, parameter),
+        gap=gaps_at(system, rod.base, rod.angle, found.piece, arc, parameter),
+        piece=found.piece,
         deepest=found.without,
         away=found.away,
         distance=found.distance,
@@ -126,28 +135,27 @@ def with_places(system: System, moving: Moving) -> Moving:
     return moving._replace(rod=rod._replace(touching=touching), change=moving.change.at[0].set(last.flat()))
 
 
-def gaps_at(system: System, base: Array, angle: Array, arc: Array, parameter: Array):
+def gaps_at(system: System, base: Array, angle: Array, piece: Array, arc: Array, parameter: Array) -> Gap:
     """Gaps of all whiskers at their places."""
 
-    def one(length, base, angle, arc, parameter):
+    def one(length, base, angle, *places):
         here = posed(system, length, base, angle)
-        return jax.vmap(lambda *place: gap_at(here, *place))(arc, parameter)
+        return jax.vmap(lambda *place: gap_on(here, *place))(*places)
 
-    return jax.vmap(one)(system.rods.length, base, angle, arc, parameter)
+    return jax.vmap(one)(system.rods.length, base, angle, piece, arc, parameter)
 
 
 def without_contacts(system: System, base: Array, angle: Array) -> Touching:
     """The places of whiskers that do not touch yet."""
     none = jnp.zeros(system.contact_shape)
-    contacts = Contacts(none, none, none > 0, none > 0)
+    contacts = Contacts(none, none, none.astype(int), none > 0, none > 0)
     poses = jax.lax.stop_gradient((system.rods.length, base, angle))
     fixed = jax.lax.stop_gradient(system)
     found = jax.vmap(lambda *own: places_of(fixed, *own))(*poses, contacts)
-    gap = gaps_at(system, base, angle, found.arc, found.parameter)
+    gap = gaps_at(system, base, angle, found.piece, found.arc, found.parameter)
     still = none, none, none > 0, none.astype(int), none > 0
-    return Touching(
-        found.arc, found.parameter, gap, *still, found.without, None, away=found.away, distance=found.distance
-    )
+    beside = {"piece": found.piece, "away": found.away, "distance": found.distance}
+    return Touching(found.arc, found.parameter, gap, *still, found.without, **beside)
 
 
 def from_the_tip(touching: Touching, fields: dict[str, Array]) -> dict[str, Array]:

@@ -253,12 +253,12 @@ def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar, 
     if trace is not None:
         trace = jax.lax.stop_gradient(trace)
         most = before + jax.lax.cummax(jnp.abs(trace.work))
-        deep = trace.gap < -DEEPEST
         if trace.inside is None:
-            failures.append((jnp.any(deep, axis=1), Status.second_contact))
+            failures.append((jnp.any(trace.gap < -DEEPEST, axis=1), Status.second_contact))
         else:
             failures.append((jnp.any(trace.inside < -NO_ROOM, axis=1), Status.too_many_contacts))
-            failures.append((jnp.any(deep, axis=1), Status.inexact))
+            assert trace.distance is not None
+            failures.append((jnp.any(trace.distance < -DEEPEST, axis=1), Status.inexact))
         # Contacts of a resting object do no work, and impacts give nothing back.
         created = jnp.abs(trace.contact) + jax.lax.cummax(trace.impact) - trace.impact
         failures.append((created > CREATED * most + CREATED_AT_REST, Status.inexact))
@@ -297,7 +297,7 @@ def _traced(system: System, moving: Moving) -> Trace | None:
     if at.away is not None:
         gap = jnp.where(at.away, jnp.inf, at.gap.distance)
         places = map(jnp.ravel, (at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[..., 0]))
-        return Trace(*places, *energies, arc=jnp.ravel(at.arc), inside=at.deepest)
+        return Trace(*places, *energies, arc=jnp.ravel(at.arc), inside=at.deepest, distance=at.distance)
     gap = jnp.minimum(at.gap.distance, at.deepest)
     gap = gap if at.others is None else jnp.minimum(gap, at.others)
     return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], *energies)

@@ -185,8 +185,9 @@ class Trace(NamedTuple):
     work: Float[Array, " times"]  # of the drive, dimensionless as all others
     contact: Float[Array, " times"]  # work of contact forces along the normal
     impact: Float[Array, " times"]  # loss
-    arc: Float[Array, "times contacts"] | None = None  # with several contacts only, as the next one
+    arc: Float[Array, "times contacts"] | None = None  # with several contacts only, as all that follow
     inside: Float[Array, "times whiskers"] | None = None  # least gap where there is no room for a contact
+    distance: Float[Array, "times whiskers"] | None = None
 
 
 def numbers_of(trace: Trace, contacts: int) -> Int[Array, "times contacts"]:

@@ -28,12 +28,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.features import gap_on, slips_off
 from jaxwhisker._dynamics.gap import Gap, gap_at
 from jaxwhisker._dynamics.held import Pulls, ends_of, pulls_of
 from jaxwhisker._dynamics.legendre import sinc
 from jaxwhisker._dynamics.motion_state import Moving, Rod, Touching, posed
 from jaxwhisker._dynamics.moving import Rods, System
-from jaxwhisker._dynamics.outline import number_of
+from jaxwhisker._dynamics.outline import ObjectChain
 from jaxwhisker._model.profile import AbstractProfile
 
 FADES_IN_TIME, FADES_ON_WAY = 1.0, 3.0  # rates at which penetrations fade, per time and per travel of the drive
@@ -153,7 +154,8 @@ def _contacts_of(
 
     def one(old: Touching, mode: ContactMode | Imposed, contact: Array, barred: Array | None):
         assert system.profile is not None
-        gap = gap_at(here, contact[0], contact[1])
+        arc, parameter = contact[0], contact[1]
+        gap = gap_at(here, arc, parameter) if old.piece is None else gap_on(here, old.piece, arc, parameter)
         across, normal, along, tangent = old.directions(gap, contact[0])
         closed = across @ turned + normal @ shifted
         before = jnp.where(old.lasts(contact[0]), old.gap.distance, gap.distance - closed)
@@ -183,17 +185,21 @@ def _contacts_of(
 
 def barred(system: System, old: Touching, contacts: Float[Array, "contacts contact"]) -> Bool[Array, " contacts"]:
     """Which of several contacts of a whisker may not be: they are away from the object, or where another one is."""
-    assert system.profile is not None and old.away is not None
-    arc, number = contacts[:, 0], number_of(system.profile, contacts[:, 1])
+    profile = system.profile
+    assert isinstance(profile, ObjectChain) and old.away is not None and old.piece is not None
+    arc, number = contacts[:, 0], profile.object_of(old.piece)
+    assert number is not None
     same = (jnp.abs(arc[:, None] - arc) < SAME_PLACE) & (number[:, None] == number)
     place = jnp.arange(arc.size)
     earlier = jnp.where(old.touches[:, None] == old.touches, place[:, None] > place, old.touches)
-    return old.away | jnp.any(same & earlier & ~old.away, axis=1)
+    found = old.away | jnp.any(same & earlier & ~old.away, axis=1)
+    return found | slips_off(profile, old.piece, arc, contacts[:, 1]) if profile.has_edges else found
 
 
 def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
     """What vanishes for a held contact. On an edge the whisker may slide, while the normal stays."""
-    arc, piece = contact[0] - old.arc, profile.piece_at(old.parameter)
+    arc = contact[0] - old.arc
+    piece = profile.piece_at(old.parameter) if old.piece is None else None
     return arc if piece is None else jnp.where(piece % 2 == 0, contact[1] - old.parameter, arc)
 
 
