@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.stop import balanced
+from jaxwhisker._dynamics.stop import balanced, pushes
 from scenes import model
 
 MU, H = 0.3, 0.01
@@ -63,3 +63,19 @@ def test_friction_stays_within_its_cone_where_slips_end():
     e = motion.energy
     ledger = e.total[0] + e.work - e.damping - e.impact - e.friction + e.contact
     np.testing.assert_allclose(e.total, ledger, atol=BALANCED * float(e.work.max()))
+
+
+def test_contacts_stop_together_and_none_pulls():
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(500, 3, 3))
+    ease = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
+    rates, so_far, touches = rng.normal(size=(500, 3)), rng.uniform(0, 0.5, (500, 3)), rng.uniform(size=(500, 3)) < 0.8
+    given = np.asarray(jax.jit(jax.vmap(pushes))(touches, so_far, rates, ease))
+    left = rates + np.einsum("nij,nj->ni", ease, given)
+    assert np.all(given[~touches] == 0)
+    assert np.all(so_far + given >= -ROUNDING, where=touches)
+    stopped = np.abs(left) < ROUNDING
+    assert np.all(stopped | (given == 0))
+    assert np.sum(stopped.sum(axis=1) == 3) > 50 and np.sum(touches & (given == 0)) > 50  # both occur
+    spent = np.einsum("ni,ni->n", given, rates) + np.einsum("ni,nij,nj->n", given, ease, given) / 2
+    assert spent.max() < ROUNDING  # the kinetic energy does not grow

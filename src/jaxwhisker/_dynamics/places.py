@@ -41,7 +41,7 @@ class Places(NamedTuple):
     without: Float[Array, "*whiskers"]  # least gap where there is no room for another place
 
 
-class Contacts(NamedTuple):
+class Touched(NamedTuple):
     """Contacts of one whisker."""
 
     arc: Float[Array, " contacts"]
@@ -51,7 +51,7 @@ class Contacts(NamedTuple):
     at_tip: Bool[Array, " contacts"]
 
 
-def places_of(system: System, length: Scalar, base: Array, angle: Array, contacts: Contacts) -> Places:
+def places_of(system: System, length: Scalar, base: Array, angle: Array, contacts: Touched) -> Places:
     """The places of one whisker with these contacts, without derivatives."""
     profile, touches = system.profile, contacts.touches
     assert isinstance(profile, ObjectChain) and profile.placeholder_parameter is not None
@@ -80,11 +80,11 @@ def places_of(system: System, length: Scalar, base: Array, angle: Array, contact
         piece=jnp.where(touches, contacts.piece, jnp.where(near, new.piece[order[rank]], 0)),
         away=~touches & ~near,
         distance=jnp.minimum(found.distance, jnp.min(outside)),
-        without=jnp.minimum(least[jnp.sum(~touches)], found.base),
+        without=least[jnp.sum(~touches)],
     )
 
 
-def _shaft(basis: Basis, length: Scalar, base: Array, angle: Array, contacts: Contacts) -> WholeShaft:
+def _shaft(basis: Basis, length: Scalar, base: Array, angle: Array, contacts: Touched) -> WholeShaft:
     """Points of a whisker, from the tip to the base, in segments between its contacts."""
     from_tip = jnp.where(contacts.touches, jnp.where(contacts.at_tip, 0.0, 1 - contacts.arc), 1.0)
     order = jnp.argsort(from_tip)
@@ -113,7 +113,7 @@ def with_places(system: System, moving: Moving) -> Moving:
     assert at is not None
     assert isinstance(system.profile, ObjectChain) and at.piece is not None
     piece = next_piece(system.profile, at.piece, at.parameter) if system.profile.has_edges else at.piece
-    contacts = Contacts(at.arc, at.parameter, piece, at.touches, at.gap.at_tip > 0)
+    contacts = Touched(at.arc, at.parameter, piece, at.touches, at.gap.at_tip > 0)
     fixed, *known = jax.lax.stop_gradient((system, system.rods.length, rod.base, rod.angle, contacts))
     found = jax.vmap(lambda *own: places_of(fixed, *own))(*known)
     # Contacts keep their derivatives. Places without contact have none.
@@ -148,7 +148,7 @@ def gaps_at(system: System, base: Array, angle: Array, piece: Array, arc: Array,
 def without_contacts(system: System, base: Array, angle: Array) -> Touching:
     """The places of whiskers that do not touch yet."""
     none = jnp.zeros(system.contact_shape)
-    contacts = Contacts(none, none, none.astype(int), none > 0, none > 0)
+    contacts = Touched(none, none, none.astype(int), none > 0, none > 0)
     poses = jax.lax.stop_gradient((system.rods.length, base, angle))
     fixed = jax.lax.stop_gradient(system)
     found = jax.vmap(lambda *own: places_of(fixed, *own))(*poses, contacts)

@@ -22,8 +22,9 @@ from jaxwhisker._dynamics.moving import Damping, MotionUnits, System, drive_pose
 from jaxwhisker._dynamics.outline import ObjectChain, number_of
 from jaxwhisker._dynamics.places import from_the_tip
 from jaxwhisker._dynamics.resolution import warn_of_shapes
-from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, Trace, events_of
+from jaxwhisker._dynamics.simulation import MotionEnergy, Simulation, TimedEvents, events_of
 from jaxwhisker._dynamics.start import Start, initial, misfit, start_of
+from jaxwhisker._dynamics.trace import status_of, trace_of
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
@@ -37,11 +38,6 @@ MOST_SHAPES, MOST_SHAPES_OF_SEVERAL = 20, 40  # the shear force jumps at each co
 STEP = 0.001  # default time step, in L^2 sqrt(rho A / EI) of the first whisker
 MOST_STEPS = 10_000_000  # of the default step
 INSIDE = 1e-6  # accepted penetration at the start, in lengths of the first whisker
-DEEPEST = 0.01  # penetration beyond which it is a second contact
-NO_ROOM = 1e-3  # penetration beyond which it is a contact for which there is no room
-SHORTEST = 3e-6  # T: rounding errors of reactions grow with 1 / h^2, to 1e-5 EI/L here
-CREATED = 0.05  # energy that contacts may create, relative to the energy at the start and the work of the drive
-CREATED_AT_REST = 1e-3  # the same without either, in EI / L of the first whisker
 MISFIT = 0.01  # of a given state, see `misfit`
 INSIDE_BENT = 1e-3  # accepted penetration of a given shape, which is projected onto the shape functions
 
@@ -75,7 +71,7 @@ def simulate(
             scan, of which the step nearest to the initial drive position counts. It must be a state of these whiskers,
             on this support with the drive where it starts, and on this object. A Sensor lets the whiskers go without
             an object. Default: unloaded, bent only by springs on their shafts that disagree. In both cases whiskers are
-            at rest relative to the drive.
+            at rest relative to the drive. Whiskers that may have several contacts start unloaded.
         steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
             first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
@@ -90,7 +86,8 @@ def simulate(
         A Simulation. If a parameter is outside its domain under tracing, the drive starts inside the object, `start` is
         a state of another scene, or no unloaded equilibrium with springs on shafts is found, the status is `invalid`;
         if a time step is not solved, it is `lost` from there on; if any point of a whisker gets inside the object by
-        more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`; if
+        more than 0.01 lengths of the first whisker, because it has met it in a second place, `second_contact`, or
+        `too_many_contacts` (0.001 lengths) if it may have several contacts, and has met objects in more places; if
         contacts have created more energy than 5 % of that at the start and the work of the drive, or time steps are
         shorter than 0.3 % of the default, where rounding is amplified, `inexact`. Values are then NaN, but for `time`
         and `control`.
@@ -98,8 +95,8 @@ def simulate(
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
             positive, a drive that is not finite), the drive starts inside the object, `start` is a state of another
-            scene, or the scene has springs between the shafts of two whiskers, rigid springs, or whiskers with
-            several contacts, which are not simulated.
+            scene, or the scene has springs between the shafts of two whiskers, rigid springs, or polygons with inner
+            corners, which are not simulated.
 
     Warns:
         UserWarning: if the shape functions do not resolve the bending stiffness of a concrete whisker, such as a jump.
@@ -217,7 +214,7 @@ def _simulate(
 
     def step(moving, drive):
         moving, forces = advance(system, moving, drive[:3], drive[3:], h)
-        return moving, (forces, moving.solved, _traced(system, moving))
+        return moving, (forces, moving.solved, trace_of(system, moving))
 
     def sample(moving, drives):
         moving, traces = jax.lax.scan(step, moving, drives)
@@ -227,11 +224,11 @@ def _simulate(
     _, (samples, each) = jax.lax.scan(sample, first, drives)
     forces, solved, trace = jax.tree.map(lambda leaf: leaf.reshape(steps, *leaf.shape[2:]), each)
     samples, solved, trace = jax.tree.map(
-        lambda a, b: jnp.concatenate([a[None], b]), (first, good, _traced(system, first)), (samples, solved, trace)
+        lambda a, b: jnp.concatenate([a[None], b]), (first, good, trace_of(system, first)), (samples, solved, trace)
     )
     result = _result(given, system, unit, samples, _at_samples(forces, every))
     before = jax.lax.stop_gradient(result["energy"].total[0] / unit.energy)
-    status = jnp.where(good, _status(solved, trace, before, h), Status.invalid)
+    status = jnp.where(good, status_of(solved, trace, before, h), Status.invalid)
     ok = status == Status.ok
     events = _no_events() if trace is None else events_of(trace, ok, time, control, system.contacts)
     status = status[::every]
@@ -245,27 +242,6 @@ def _simulate(
         clear | ~valid | (off > MISFIT),
         jnp.where(valid, off, 0.0),
     )
-
-
-def _status(solved: Bool[Array, " times"], trace: Trace | None, before: Scalar, h: Scalar) -> Array:
-    """The status after every step of size h: what fails first counts. `before` is the energy at the start."""
-    failures = [(~solved, Status.lost), (jnp.broadcast_to(h < SHORTEST, solved.shape), Status.inexact)]
-    if trace is not None:
-        trace = jax.lax.stop_gradient(trace)
-        most = before + jax.lax.cummax(jnp.abs(trace.work))
-        if trace.inside is None:
-            failures.append((jnp.any(trace.gap < -DEEPEST, axis=1), Status.second_contact))
-        else:
-            failures.append((jnp.any(trace.inside < -NO_ROOM, axis=1), Status.too_many_contacts))
-            assert trace.distance is not None
-            failures.append((jnp.any(trace.distance < -DEEPEST, axis=1), Status.inexact))
-        # Contacts of a resting object do no work, and impacts give nothing back.
-        created = jnp.abs(trace.contact) + jax.lax.cummax(trace.impact) - trace.impact
-        failures.append((created > CREATED * most + CREATED_AT_REST, Status.inexact))
-    failed = jnp.stack([failure for failure, _ in failures])
-    first = jnp.argmax(jnp.any(failed, axis=0))
-    kind = jnp.array([int(status) for _, status in failures])[jnp.argmax(failed[:, first])]
-    return jnp.where(jnp.cumsum(jnp.any(failed, axis=0)) > 0, kind, int(Status.ok))
 
 
 def _where_ok(ok: Bool[Array, " samples"], tree: Any) -> Any:
@@ -286,21 +262,6 @@ def _valid(scene: Scene | Sensor, duration: Array, damping: Damping, control: An
     for _, whisker, place in scene.support.attachments():
         valid &= jnp.asarray(place) < scene.whiskers[whisker - 1].length
     return valid & scene.profile.valid() if isinstance(scene, Scene) else valid
-
-
-def _traced(system: System, moving: Moving) -> Trace | None:
-    at = moving.rod.touching
-    if at is None:
-        return None
-    ledger = moving.ledger
-    energies = map(jnp.asarray, (ledger.work, ledger.contact, ledger.impact))
-    if at.away is not None:
-        gap = jnp.where(at.away, jnp.inf, at.gap.distance)
-        places = map(jnp.ravel, (at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[..., 0]))
-        return Trace(*places, *energies, arc=jnp.ravel(at.arc), inside=at.deepest, distance=at.distance)
-    gap = jnp.minimum(at.gap.distance, at.deepest)
-    gap = gap if at.others is None else jnp.minimum(gap, at.others)
-    return Trace(at.touches, at.force, gap, at.gap.at_tip, at.gap.normal[:, 0], *energies)
 
 
 def _at_samples(forces: Forces, every: int) -> Forces:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.settings import in_double
 from jaxwhisker._dynamics.legendre import basis, weights_at
+from jaxwhisker._dynamics.trace import Trace, numbers_of
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._path.path import EventKind
 from jaxwhisker._scan.dataset import counted
@@ -169,33 +170,6 @@ KINDS = (
     EventKind.tangential_to_tip,
     EventKind.vertex,
 )
-
-
-class Trace(NamedTuple):
-    """What events depend on, at the start and after every step; leading axis: times.
-
-    If whiskers may have several contacts, columns are those of the first whisker, then of the second.
-    """
-
-    touches: Bool[Array, "times contacts"]
-    force: Float[Array, "times contacts"]  # mean over the step before
-    gap: Float[Array, "times contacts"]
-    at_tip: Float[Array, "times contacts"]
-    slope: Float[Array, "times contacts"]  # sine of the object's slope
-    work: Float[Array, " times"]  # of the drive, dimensionless as all others
-    contact: Float[Array, " times"]  # work of contact forces along the normal
-    impact: Float[Array, " times"]  # loss
-    arc: Float[Array, "times contacts"] | None = None  # with several contacts only, as all that follow
-    inside: Float[Array, "times whiskers"] | None = None  # least gap where there is no room for a contact
-    distance: Float[Array, "times whiskers"] | None = None
-
-
-def numbers_of(trace: Trace, contacts: int) -> Int[Array, "times contacts"]:
-    """Numbers of all contacts, from the tip to the base; of places without contact, that which they would have."""
-    assert trace.arc is not None
-    touches, arc = (values.reshape(values.shape[0], -1, contacts) for values in (trace.touches, trace.arc))
-    beyond = touches[:, :, None] & (arc[:, :, None] > arc[..., None])
-    return (1 + jnp.sum(beyond, axis=-1)).reshape(trace.touches.shape)
 
 
 def events_of(
