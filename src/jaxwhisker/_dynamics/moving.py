@@ -6,7 +6,6 @@ displacements of its base relative to the drive that springs leave free, in the 
 inextensible, and the rotary inertia of their cross-sections is neglected.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -132,10 +131,6 @@ class System(eqx.Module):
         """Shape of what is known of all contacts."""
         whiskers = self.rods.length.shape[0]
         return (whiskers,) if self.contacts == 1 else (whiskers, self.contacts)
-
-    def at_each(self, function: Callable) -> Callable:
-        """A function of one contact, as a function of all contacts of a whisker."""
-        return function if self.contacts == 1 else jax.vmap(function)
 
     @property
     def at_rest(self) -> Float[Array, " free"]:
