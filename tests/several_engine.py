@@ -116,4 +116,5 @@ def trial_at(march, z, state=None, phase=Phase.tangential, slack=0.2) -> TrialOf
     solution = ChainSolution(Point(z, march.point.u), None, jnp.asarray(True))
     state, own = march.state if state is None else state, candidates(phase, slack)
     stop, last, stable = jnp.asarray(STOP), jnp.asarray(0), jnp.asarray(True)
-    return TrialOfChain(solution, march.tangent, march.stance, own, march.point, state, stop, last, stable)
+    turns = jnp.ones(1)
+    return TrialOfChain(solution, march.tangent, march.stance, own, march.point, state, stop, last, stable, turns)

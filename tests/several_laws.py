@@ -238,18 +238,15 @@ def state_of(state, step: int | None = None) -> tuple[Held, ...]:
     parts = each[1], none, none.astype(int)
     if state.slip is not None:
         parts = field("normal_force"), field("friction_force"), field("slip")
+
+    def ends(w, k):
+        return [values[w, k].item() for values in (numbers, *parts)]
+
     found = []
     for w, base in enumerate(bases):
         places = tuple(each[0][w].tolist())
         rows = [
-            Contact(
-                phase,
-                *(float(values[w, k]) for values in each[1:]),  # pyright: ignore
-                int(numbers[w, k]),
-                float(parts[0][w, k]),
-                float(parts[1][w, k]),
-                int(parts[2][w, k]),
-            )
+            Contact(phase, *(float(values[w, k]) for values in each[1:]), *ends(w, k))  # pyright: ignore
             for k, phase in enumerate(places)
             if phase != FREE
         ]

@@ -16,9 +16,10 @@ def changed(number, rows, limit=0.0):
     known = with_contacts(2)
     march = march_at(known)
     target = march.target._replace(
-        number=jnp.asarray(number), whiskers=jnp.array(rows), limit=jnp.full(march.target.limit.shape, limit)
+        number=jnp.asarray(number), whiskers=jnp.array(rows), limit=jnp.full(known.state.phase.shape, limit)
     )
-    return known, changed_contacts(problem(), march.replace(target=target), trial_at(known))
+    march = march.replace(target=target)
+    return known, changed_contacts(problem(), march, trial_at(march, known.z))
 
 
 def test_every_margin_has_its_kind_of_event():
@@ -38,8 +39,11 @@ def test_a_contact_changes_its_phase_with_no_slack(phase):
     known = with_contacts(2)
     state = known.state._replace(phase=known.state.phase.at[0].set(int(phase)))
     march = march_at(known._replace(state=state))
-    target = march.target._replace(number=jnp.asarray(PHASE), whiskers=jnp.array([True, False]))
-    z, after, kind = changed_contacts(problem(), march.replace(target=target), trial_at(known._replace(state=state)))
+    target = march.target._replace(
+        number=jnp.asarray(PHASE), whiskers=jnp.array([True, False]), limit=jnp.zeros(state.phase.shape)
+    )
+    march = march.replace(target=target)
+    z, after, kind = changed_contacts(problem(), march, trial_at(march, known.z))
     tip = phase == Phase.tip
     assert int(kind) == (EventKind.tip_to_tangential if tip else EventKind.tangential_to_tip)
     assert int(after.phase[0]) == (Phase.tangential if tip else Phase.tip)

@@ -1,8 +1,10 @@
 """Friction of several contacts: rates of slip, leans, and which contacts stick after a snap."""
 
-# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
+# pyright: reportArgumentType=false, reportOptionalMemberAccess=false, reportOptionalSubscript=false
+# pyright: reportCallIssue=false
 from functools import cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,7 +23,6 @@ from jaxwhisker._chain.friction import (
     slip_rates,
     with_slips,
 )
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._scan.chain import problem_now
 
@@ -36,13 +37,7 @@ def problem(contacts=2):
     """A whisker before a circle, and a roof with corners."""
     roof = jw.Polygon([(-0.5, 0.9), (-0.4, 0.4), (0.0, 0.6), (0.4, 0.4), (0.5, 0.9)])
     scene = jw.Scene(jw.Whisker(), (jw.Circle(0.5, 0.2, position=-1.5), roof), contacts=contacts, friction=MU)
-    return problem_now(checks_float(scene))
-
-
-def checks_float(scene):
-    import jax
-
-    return jax.tree.map(checks.as_float, scene)
+    return problem_now(jax.tree.map(checks.as_float, scene))
 
 
 def contacts(phase=(2, 2), piece=(0, 0), side=(1.0, 1.0), slip=(1, -1), places=((0.3, 0.5), (0.2, 0.6))):
@@ -159,4 +154,3 @@ def test_contacts_that_stick_on_keep_their_places():
     assert float(kept.friction.parameter[1]) == float(near.friction.parameter[1])
     slipping = contacts(slip=(1, 0), places=near.friction[1:])
     assert float(keeps_places(problem(), before, slipping).friction.parameter[0]) == float(near.friction.parameter[0])
-    assert Phase.free == 0

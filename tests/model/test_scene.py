@@ -127,7 +127,6 @@ def test_wrong_scenes(make, message):
         ({"contacts": 0}, "`contacts` must be a positive int, got 0"),
         ({"contacts": 2.0}, "`contacts` must be a positive int, got 2.0"),
         ({"contacts": MOST_CONTACTS + 1}, f"`contacts` must be at most {MOST_CONTACTS}, got {MOST_CONTACTS + 1}"),
-        ({"friction": 0.3}, "`friction` must be None with several contacts of one whisker, got 0.3"),
         (
             {"support": jw.Support((jw.Spring((0, 1), 70.0, 0.2), jw.Spring((0, 1), 5.0, 0.2, axis="axial", at=0.1)))},
             "`support` must be without springs or foundations on shafts for several contacts, got",

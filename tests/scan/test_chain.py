@@ -95,7 +95,7 @@ def at_distance(distance) -> tuple:
 
 
 @cache
-def in_a_batch() -> list:
+def in_a_batch() -> tuple:
     """Scans at several distances, of which one is not a number."""
     return jax.vmap(at_distance)(DISTANCES)
 

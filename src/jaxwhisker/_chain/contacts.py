@@ -96,7 +96,7 @@ def unused(rows: int, *, friction: bool) -> ChainState:
     )
 
 
-class Held(NamedTuple):
+class HeldByFriction(NamedTuple):
     """How contacts are held by friction and by corners."""
 
     sticks: Bool[Array, " contacts"]  # by friction alone
@@ -109,13 +109,13 @@ class Held(NamedTuple):
         return self.sticks & ~self.at_corner
 
 
-def held_of(profile: Objects, state: ChainState) -> Held:
+def held_of(profile: Objects, state: ChainState) -> HeldByFriction:
     """How contacts are held, with friction."""
     assert state.friction is not None
     signs = corner_signs(profile)[jnp.where(state.touches, state.piece, 0)]
     pinned = (state.phase == Phase.tip) & (signs < 0)
     sticks = state.touches & (state.friction.slip == 0) & ~pinned
-    return Held(sticks, sticks & (signs > 0), pinned)
+    return HeldByFriction(sticks, sticks & (signs > 0), pinned)
 
 
 class ContactNumbers(NamedTuple):

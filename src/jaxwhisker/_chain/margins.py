@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
 from jaxwhisker._chain.friction import lean_margin
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
@@ -44,11 +44,18 @@ def margins_of(
     release = jnp.where(free, FAR, z[:, FORCE])
     slack = numbers.slack
     changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
-    changes = jnp.where(outermost & ~free, changes, FAR)
+    changes = jnp.where(outermost & ~free & ~may_turn(problem, state), changes, FAR)
     (low, high), p = piece_ends(problem, march), numbers.parameter
     below, above = jnp.where(free, FAR, p - low), jnp.where(free, FAR, high - p)
     lean = lean_margin(problem, march.state, z, numbers.lean)
     return touch, release, changes, below, above, lean, jnp.reshape(march.direction * (stop - u), 1)
+
+
+def may_turn(problem: ChainProblem, state: ChainState) -> Array:
+    """Whether a tip is in an inner corner with friction: its force does not tell in which directions it may point."""
+    if problem.friction_angle is None:
+        return jnp.zeros_like(state.touches)
+    return held_of(problem.profile, state).pinned
 
 
 def piece_ends(problem: ChainProblem, march: MarchOfChain) -> tuple[Array, Array]:
@@ -77,7 +84,8 @@ def margin_rates(problem: ChainProblem, march: MarchOfChain, tangent: Point) -> 
     still = jnp.zeros_like(march.stance.gap)
     force = jnp.where(free, 0.0, tangent.z[:, FORCE])
     along = jnp.where(free, 0.0, along)
-    return still, force, jnp.where(outermost & ~free, slack, 0.0), along, -along, lean, jnp.zeros(1)
+    changes = jnp.where(outermost & ~free & ~may_turn(problem, state), slack, 0.0)
+    return still, force, changes, along, -along, lean, jnp.zeros(1)
 
 
 def first_violated(

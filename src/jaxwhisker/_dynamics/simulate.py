@@ -136,8 +136,12 @@ def simulate(
     )
     steps = _default_steps(scene, duration) if steps is None else steps
     control = jax.tree.map(checks.as_float, drive_of(drive, duration))
-    if start is not None and getattr(scene, "contacts", 1) > 1:
-        checks.fail("start", "None for whiskers that may have several contacts", type(start).__name__)
+    if getattr(scene, "contacts", 1) > 1:
+        if start is not None:
+            checks.fail("start", "None for whiskers that may have several contacts", type(start).__name__)
+        if scene.friction is not None:
+            allowed = "without friction for whiskers that may have several contacts in motion"
+            checks.fail("scene", allowed, f"friction {float(scene.friction):g}")
     begin = None if start is None else start_of(scene, start, control)
     result, clear, off = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes

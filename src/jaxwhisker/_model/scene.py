@@ -102,7 +102,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
             objects at once, and concave ones, and one object in several places; contact fields of results then have a
             last axis of contacts, from the tip to the base. Scans then take several times as long. Not available
-            with friction, springs on shafts, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
+            with springs on shafts, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`

@@ -17,6 +17,7 @@ from jaxwhisker._chain.approach import all_free
 from jaxwhisker._chain.contacts import ChainState, Places, held_of, numbers_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.implicit import after_event, sides_of_events, solved
+from jaxwhisker._chain.margins import may_turn
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
@@ -183,7 +184,8 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
     here, chain, base = problem.in_scene(u, pose), at.chain, at.base
     numbers, force = numbers_of(problem.profile, problem.friction_angle, z, state), z[:, FORCE]
     own = of_whiskers(problem, z)
-    wrong = jnp.where(state.touches, beyond_phase(state.phase, force, numbers.slack), 0.0)
+    slack = jnp.where(may_turn(problem, state), 0.0, numbers.slack)
+    wrong = jnp.where(state.touches, beyond_phase(state.phase, force, slack), 0.0)
 
     def if_touching(values: Array) -> Array:
         return jnp.where(touching, values, 0.0)
