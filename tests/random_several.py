@@ -168,7 +168,7 @@ def checked(drawn: Drawn, result: jw.Result, every: int = 5) -> list[tuple[str, 
             if (step >= 0 or control not in lost) and not drawn.plain.friction:
                 values["stability"] = max(0.0, -laws.stability(drawn.plain, state))
         found += [(law, control, step, value) for law, value in values.items()]
-    return found + list(_slides(result, ok) if drawn.plain.friction else _counts(result, ok))
+    return found + list(_slides(drawn.plain, result, ok) if drawn.plain.friction else _counts(result, ok))
 
 
 def _counts(result: jw.Result, ok: np.ndarray):
@@ -189,13 +189,13 @@ def _counts(result: jw.Result, ok: np.ndarray):
             yield "events", float(control[k]), int(k), float(abs(count[k + 1, w] - count[k, w] - change))
 
 
-def _slides(result: jw.Result, ok: np.ndarray):
+def _slides(plain: laws.Plain, result: jw.Result, ok: np.ndarray):
     """How far contacts have moved against their slip between neighbouring steps without an event, or while they stick.
 
-    The distance along the object is that along the mean of the slopes, and the angle of the whisker is not far from it.
+    The distance along the object is that along the mean of the slopes.
     """
-    names = "phase", "slip", "contact_x", "contact_y", "contact_arc", "contact_slope", "base_x", "base_y"
-    phase, slip, x, y, arc, slope, base_x, base_y = (np.asarray(getattr(result, name)) for name in names)
+    names = "phase", "slip", "contact_x", "contact_y", "contact_arc", "contact_slope"
+    phase, slip, x, y, arc, slope = (np.asarray(getattr(result, name)) for name in names)
     control, events = np.asarray(result.control), [event.control for event in result.events]
     for k in ok:
         if k + 1 not in ok:
@@ -203,9 +203,18 @@ def _slides(result: jw.Result, ok: np.ndarray):
         low, high = sorted(control[[k, k + 1]])
         if any(low - AT_ONCE <= u <= high + AT_ONCE for u in events):
             continue
-        ahead = (x[k] - base_x[k][:, None]) * np.cos(slope[k]) + (y[k] - base_y[k][:, None]) * np.sin(slope[k])
-        side, mean = np.where(ahead > 0, 1.0, -1.0), (slope[k] + slope[k + 1]) / 2
+        side, mean = _sides(plain, result, k), (slope[k] + slope[k + 1]) / 2
         moved = (x[k + 1] - x[k]) * np.cos(mean) + (y[k + 1] - y[k]) * np.sin(mean) - side * (arc[k + 1] - arc[k])
         touches = phase[k] != laws.FREE
         back = np.where(slip[k] == 0, np.abs(moved), -slip[k] * moved) - ROLLED
         yield "slides", float(control[k]), int(k), float(np.max(np.where(touches, np.maximum(back, 0.0), 0.0)))
+
+
+def _sides(plain: laws.Plain, result: jw.Result, step: int) -> np.ndarray:
+    """Whether whiskers run along the object's tangent at their contacts, or against it: 1 or -1; 0 without contact."""
+    sides = np.zeros(result.phase.shape[1:])
+    for w, (rod, held) in enumerate(zip(plain.rods, laws.state_of(result, step), strict=True)):
+        _, there = laws.line_of(rod, held, np.zeros(0))
+        for k, (contact, (_, _, angle, _)) in enumerate(zip(held.contacts[::-1], there[-2::-1], strict=True)):
+            sides[w, k] = np.sign(np.cos(angle - contact.slope))
+    return sides

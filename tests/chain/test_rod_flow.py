@@ -20,7 +20,7 @@ BEHIND = 3e-3  # distance behind a loss of stability
 def rest(problem, u, z, state, behind):
     """The contacts of rods at rest, from the shape of this state."""
     load = evaluate(problem, z, u, state).load
-    rods = rods_of(problem, shafts_of(problem, u, problem.rest, z, state), load)
+    rods = rods_of(problem, u, shafts_of(problem, u, problem.rest, z, state), load, None)
     end = flow(problem, u - behind, rods, jnp.asarray(True))
     return end, landing_of(problem, u - behind, end)
 
@@ -59,7 +59,7 @@ def test_nothing_flows_unless_it_begins():
 
     def still(problem, u, z, state):
         load = evaluate(problem, z, u, state).load
-        rods = rods_of(problem, shafts_of(problem, u, problem.rest, z, state), load)
+        rods = rods_of(problem, u, shafts_of(problem, u, problem.rest, z, state), load, None)
         return rods, flow(problem, u, rods, jnp.asarray(False))
 
     before, after = jax.jit(still)(problem(), u, z, state)

@@ -234,6 +234,16 @@ def _first_leans(problem: ChainProblem, march: MarchOfChain, tangent: Point) -> 
     return onwards * along > 0, jnp.arctan2(onwards * across, onwards * along)
 
 
+def slips_of(problem: ChainProblem, z: Contacts, state: ChainState) -> tuple[Array, Array, Array] | None:
+    """Number of the object, slip, and length of the whisker beyond all contacts, as coarse rods take them."""
+    if state.friction is None:
+        return None
+    number = problem.profile.object_of(jnp.where(state.touches, state.piece, 0))
+    slack = numbers_of(problem.profile, problem.friction_angle, z, state).slack
+    beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
+    return jnp.where(state.touches, jnp.asarray(number), -1), state.friction.slip, beyond
+
+
 def landed(problem: ChainProblem, z: Contacts, state: ChainState, lean: PerRow) -> tuple[Contacts, ChainState]:
     """Contacts at rest after a snap, whose forces lean like this: they slip as they came to rest, or they stick there.
 

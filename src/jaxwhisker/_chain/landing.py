@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._chain.contacts import ChainState, numbers_of
-from jaxwhisker._chain.friction import keeps_places, with_slips
+from jaxwhisker._chain.friction import keeps_places, slips_of, with_slips
 from jaxwhisker._chain.march_state import (
     HIGH,
     LEAN,
@@ -71,7 +71,9 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         at = evaluate(problem, march.flow.start, march.point.u, before.before)
         pose = problem.rest + problem.displacement(at.load)
         shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
-        landing = landing_of(problem, u, flow(problem, u, rods_of(problem, shafts, at.load), begins))
+        slips = slips_of(problem, march.flow.start, before.before)
+        rods = rods_of(problem, march.point.u, shafts, at.load, slips)
+        landing = landing_of(problem, u, flow(problem, u, rods, begins))
         return landing._replace(state=keeps_places(problem, before.before, landing.state))
 
     nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))

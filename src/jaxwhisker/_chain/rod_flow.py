@@ -1,9 +1,8 @@
 """Where whiskers come to rest that have lost their stability: the flow of coarse rods at a fixed control.
 
-Each whisker is a chain of links with springs between them, along which directions are linear between the middles of
-links. Its drag is that of turning links, and objects push back points of all links in proportion to their depth, and
-corners the links themselves. Time steps are linearly implicit and grow until nothing moves. The contacts in which the
-rods come to rest are a guess for the exact equations.
+Each whisker is a chain of links with springs between them, whose drag is that of turning links. Time steps are linearly
+implicit and grow until nothing moves. The contacts in which the rods come to rest are a guess for the exact equations.
+With friction, rods stretch the objects along themselves until friction gives way.
 """
 
 from typing import NamedTuple
@@ -15,23 +14,28 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import positive_definite, solve
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.coarse_rods import (
+    BETWEEN,
+    LINKS,
+    POINTS,
+    SHARES,
+    Links,
+    TouchingLinks,
+    ends_of_shares,
+    links_of,
+    poses_of,
+    tangents,
+    touching,
+)
 from jaxwhisker._chain.contacts import ChainState
 from jaxwhisker._chain.friction import landed
-from jaxwhisker._chain.gaps import nearest, outline_of
-from jaxwhisker._chain.polygons import at_corner, corner_signs, faces_of, nearest_face, of_corners
+from jaxwhisker._chain.newton import of_whiskers
+from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
 from jaxwhisker._chain.shaft import WholeShaft
-from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of, of_each
+from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.point import Contacts
-from jaxwhisker._model.objects import of_each_object
-from jaxwhisker._model.polygon_chain import PolygonChain
-from jaxwhisker._model.profile import AbstractProfile
-from jaxwhisker._rod.rod import Section
 
-LINKS = 60
-SHARES = 4  # of each link, at whose ends objects push
-POINTS = LINKS * SHARES
-STIFFNESS = 2e4  # EI/L^3, of an object along a link
 MOST = 48  # points that are pushed at the same time, as far as second derivatives are concerned
 STRIDE = 0.01  # lengths by which any point may move in a step
 FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
@@ -40,21 +44,6 @@ STEPS = 600
 LEAST_FORCE = 1e-4  # EI/L^2, of a contact
 NEIGHBOURS = 1.6 * SHARES  # shares of links between two places that belong to one contact
 AT_TIP = 0.5  # shares from the tip within which a contact is one at the tip
-
-
-def _between() -> np.ndarray:
-    """Angles at the middles of all shares by those of links, between whose middles they are linear.
-
-    With straight links, a contact would have to jump from kink to kink.
-    """
-    at = (np.arange(POINTS) + 0.5) / SHARES - 0.5
-    left, rows = np.clip(np.floor(at).astype(int), 0, LINKS - 2), np.arange(POINTS)
-    weights = np.zeros((POINTS, LINKS))
-    weights[rows, left], weights[rows, left + 1] = 1 - (at - left), at - left
-    return weights
-
-
-BETWEEN = _between()
 
 
 class CoarseRods(NamedTuple):
@@ -78,137 +67,23 @@ class Landing(NamedTuple):
     too_many: Bool[Array, ""]  # whether there are more contacts than there is room for
 
 
-class _Links(NamedTuple):
-    """What does not change in the flow, of each whisker."""
-
-    link: Scalar  # length of a link
-    joint: Float[Array, " links"]  # stiffness of the springs between links; the first one is that at the base
-    bend: Float[Array, " links"]  # angle of each joint without a moment
-    origin: Float[Array, "2"]  # of the base's frame
-    axes: Float[Array, "2 2"]  # columns: its x and y axes
-    upright: Scalar  # angle of the unloaded base to the x axis
-
-
-def _whisker(body: WhiskerAtObject) -> _Links:
-    link = body.length / LINKS
-    at = link * jnp.asarray(np.append(0.25, np.arange(1, LINKS)))
-    part = jnp.asarray(np.append(0.5, np.ones(LINKS - 1))) * link
-    material = material_of(body)
-    if isinstance(material, Section):
-        stiffness = jax.vmap(material.stiffness)(at)
-        curvature = jax.vmap(lambda s: jnp.asarray(material.curvature(s), dtype=float))(at)
-    else:
-        stiffness, curvature = jnp.broadcast_to(jnp.asarray(material), at.shape), jnp.zeros_like(at)
-    frame = body.frame
-    assert frame is not None
-    axes = jnp.stack([jnp.stack([frame.cos, frame.sin]), jnp.stack([-frame.sin, frame.cos])], axis=1)
-    upright = jnp.arctan2(frame.sin, frame.cos) + np.pi / 2
-    return _Links(link, stiffness / part, curvature * part, jnp.stack([frame.x, frame.y]), axes, upright)
-
-
-class _TouchingLinks(NamedTuple):
-    """How rods touch objects: with the ends of the shares of links, and anywhere at corners; fields (elements,)."""
-
-    depth: Float[Array, " elements"]
-    piece: Int[Array, " elements"]
-    parameter: Float[Array, " elements"]
-    normal: Float[Array, "elements 2"]
-    curvature: Float[Array, " elements"]  # of the object; positive if it is convex
-    arc: Float[Array, " elements"]  # from the base, in shares
-    stiffness: Float[Array, " elements"]
-
-
-def _touching(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, ends: Array) -> _TouchingLinks:
-    def of_one(one, first):
-        if not isinstance(one, PolygonChain):
-            return _at_curve(one, first, own, length, ends)
-        both = _at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *both)
-
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of_each_object(problem.profile, of_one))
-
-
-def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: _Links, length: Scalar, ends: Array) -> _TouchingLinks:
-    outline = outline_of(one, own.origin[0], own.origin[1], 1.5 * length)
-
-    def at_end(x, y):
-        p = nearest(one, outline, x, y)
-        at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
-        curvature = (rate.sin * at.cos - rate.cos * at.sin) / (rate.x * at.cos + rate.y * at.sin)
-        return -at.off(x, y), p, at.normal, curvature
-
-    depth, parameter, normal, curvature = jax.vmap(at_end)(*ends.T)
-    return _TouchingLinks(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points())
-
-
-def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> _TouchingLinks:
-    faces = faces_of(one)
-
-    def at_end(x, y):
-        at = nearest_face(faces, x, y)
-        k = jnp.minimum(at.number, faces.x.size - 2)
-        depth = jnp.where(faces.touchable[at.number], -at.distance, -1.0)
-        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, jnp.stack([faces.sin[k], -faces.cos[k]])
-
-    depth, piece, parameter, normal = jax.vmap(at_end)(*ends.T)
-    return _TouchingLinks(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points())
-
-
-def _at_corners(one: PolygonChain, first: Int[Array, ""], own: _Links, angle: Array, ends: Array) -> _TouchingLinks:
-    fine, size = BETWEEN @ angle, own.link / SHARES
-    faces, cos, sin = faces_of(one), jnp.cos(fine), jnp.sin(fine)
-    begins = ends - size * jnp.stack([cos, sin], axis=1)
-
-    def at(k):
-        right, up = (one.xy[k] - begins).T
-        share = (right * cos + up * sin) / size
-        apart = jnp.abs(up * cos - right * sin)
-        j = jnp.argmin(jnp.where((share >= 0) & (share <= 1), apart, jnp.inf))
-        x, y = begins[j, 0] + share[j] * size * cos[j], begins[j, 1] + share[j] * size * sin[j]
-        touch = at_corner(one, faces, k, x, y, cos[j], sin[j])
-        passes = (share[j] >= 0) & (share[j] <= 1) & touch.meets
-        normal = touch.side * jnp.stack([sin[j], -cos[j]])
-        depth = jnp.where(passes, -touch.gap, -1.0)
-        return depth, first + 2 * k, touch.parameter, normal, j + share[j]
-
-    depth, piece, parameter, normal, arc = of_corners(one, at)
-    return _TouchingLinks(depth, piece, parameter, normal, jnp.zeros_like(depth), arc, jnp.full_like(depth, STIFFNESS))
-
-
-def _at_points() -> tuple[Array, Array]:
-    """Arcs of the ends of shares, and the stiffness of an object there."""
-    arc = np.arange(1.0, POINTS + 1)
-    return jnp.asarray(arc), jnp.asarray(np.where(arc == POINTS, STIFFNESS, STIFFNESS / SHARES))
-
-
-def _ends(own: _Links, angle: Float[Array, " links"], pose: Float[Array, "3"]) -> Float[Array, "points 2"]:
-    base, fine = own.origin + jnp.sum(own.axes * pose[:2], axis=1), BETWEEN @ angle
-    way = own.link / SHARES * jnp.stack([jnp.cos(fine), jnp.sin(fine)], axis=1)
-    return base + jnp.cumsum(way, axis=0)
-
-
-def _tangents(touch: _TouchingLinks) -> Float[Array, "elements 2"]:
-    """Directions of the object's tangent."""
-    return touch.normal[:, ::-1] * np.array([-1.0, 1.0])
-
-
-def _stretch(problem: ChainProblem, touch: _TouchingLinks, stretch: Array) -> Float[Array, " elements"]:
+def _stretch(problem: ChainProblem, touch: TouchingLinks, stretch: Array) -> Float[Array, " elements"]:
     """The stretch that friction holds."""
     assert problem.friction_angle is not None
     most = jnp.tan(problem.friction_angle) * jnp.maximum(touch.depth, 0.0)
     return jnp.clip(stretch, -most, most)
 
 
-def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, pose: Array, stretch: Array | None):
+def _system(problem: ChainProblem, own: Links, length: Scalar, angle: Array, pose: Array, stretch: Array | None):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
-    ends, size = _ends(own, angle, pose), own.link / SHARES
-    touch = _touching(problem, own, length, angle, ends)
+    ends, size = ends_of_shares(own, angle, pose), own.link / SHARES
+    touch = touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
     force = (touch.stiffness * depth)[:, None] * touch.normal
     sticks = jnp.zeros_like(depth)
     if stretch is not None:
         held = _stretch(problem, touch, stretch)
-        force -= (touch.stiffness * held)[:, None] * _tangents(touch)
+        force -= (touch.stiffness * held)[:, None] * tangents(touch)
         sticks = jnp.where((held == stretch) & (depth > 0), touch.stiffness, 0.0)
     fine = BETWEEN @ angle
     cos, sin = jnp.cos(fine), jnp.sin(fine)
@@ -233,7 +108,7 @@ def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, po
         shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
         return jnp.concatenate([turns(some.arc, way), shifts, jnp.zeros_like(way[:, :1])], axis=1)
 
-    into, along = moves(some.normal), moves(_tangents(some))
+    into, along = moves(some.normal), moves(tangents(some))
     stiff, bends = jnp.where(some.depth > 0, some.stiffness, 0.0), -some.stiffness * depth[pushed] * some.curvature
     bends += sticks[pushed]
     second = into.T @ (stiff[:, None] * into) + along.T @ (bends[:, None] * along)
@@ -246,21 +121,27 @@ def _system(problem: ChainProblem, own: _Links, length: Scalar, angle: Array, po
     return jnp.append(by_angle, by_pose), second, ends, touch
 
 
-def _slid(touch: _TouchingLinks, before: Array, after: Array) -> Float[Array, " elements"]:
+def _slid(touch: TouchingLinks, before: Array, after: Array) -> Float[Array, " elements"]:
     """By how much rods move along objects where they touch them, between two positions of all points."""
     k = jnp.clip(jnp.ceil(touch.arc).astype(int) - 1, 0, POINTS - 1)
     moved = jnp.concatenate([jnp.zeros((1, 2)), after - before])
     share = (touch.arc - k)[:, None]
-    return jnp.sum(_tangents(touch) * ((1 - share) * moved[k] + share * moved[k + 1]), axis=1)
+    return jnp.sum(tangents(touch) * ((1 - share) * moved[k] + share * moved[k + 1]), axis=1)
 
 
-def _poses(problem: ChainProblem, springs: Array) -> BasePoses:
-    root = problem.flexibility.root
-    return problem.rest + jnp.reshape(jnp.sum(root * springs, axis=1), (-1, 3))
+def rods_of(
+    problem: ChainProblem, u: Scalar, shafts: WholeShaft, load: BasePoses, slips: tuple[Array, Array, Array] | None
+) -> CoarseRods:
+    """The rods with the shapes of these shafts.
 
-
-def rods_of(problem: ChainProblem, shafts: WholeShaft, load: BasePoses) -> CoarseRods:
-    """The rods with the shapes of these shafts; `load` are those on their bases."""
+    Args:
+        problem: the problem.
+        u: the control.
+        shafts: of all whiskers.
+        load: on their bases.
+        slips: of all contacts, with friction: number of the object, -1 without contact; direction of slip, 0 if it
+            sticks; length of the whisker beyond it.
+    """
 
     def one(shaft, length):
         beyond, cos, sin = (jnp.ravel(leaf) for leaf in (shaft.beyond, shaft.cos, shaft.sin))
@@ -272,21 +153,42 @@ def rods_of(problem: ChainProblem, shafts: WholeShaft, load: BasePoses) -> Coars
     # Angles of the links continue that of the base.
     turn = jnp.round((angle[:, :1] - np.pi / 2) / (2 * np.pi)) * 2 * np.pi
     springs = jnp.sum(problem.flexibility.root * jnp.ravel(load)[:, None], axis=0)
-    # Friction that has acted before stretches the objects again as soon as anything moves.
-    corners = [one.xy.shape[0] for one in problem.profile.objects if isinstance(one, PolygonChain)]
-    elements = POINTS * len(problem.profile.objects) + sum(corners)
-    stretch = None if problem.friction_angle is None else jnp.zeros((problem.length.size, elements))
-    return CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False), stretch)
+    rods = CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
+    if problem.friction_angle is None:
+        return rods
+    each, pose = of_each(problem.bodies(u), links_of), poses_of(problem, springs)
+    number, slip, beyond = of_whiskers(problem, slips)
+    own = each, problem.length, rods.angle, pose, number, slip, beyond
+    return rods._replace(stretch=jax.vmap(lambda *own: _slipping(problem, *own))(*own))
+
+
+def _slipping(
+    problem: ChainProblem,
+    own: Links,
+    length: Scalar,
+    angle: Array,
+    pose: Array,
+    number: Array,
+    slip: Array,
+    beyond: Array,
+) -> Float[Array, " elements"]:
+    """Objects stretched as far as they can by contacts that slip: near each contact, in the direction of its slip."""
+    touch = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
+    away = jnp.abs(touch.arc[:, None] - POINTS * (1 - beyond / length))
+    own_object = jnp.asarray(problem.profile.object_of(touch.piece))
+    away = jnp.where(own_object[:, None] == number, away, jnp.inf)
+    nearest = jnp.argmin(away, axis=1)
+    return jnp.where(jnp.isfinite(jnp.min(away, axis=1)), slip[nearest], 0).astype(float)
 
 
 def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array, ""]) -> CoarseRods:
     """The rods at rest; nothing is computed unless the flow begins."""
     n, root = problem.length.shape[0], problem.flexibility.root
-    each, size = of_each(problem.bodies(u), _whisker), n * LINKS
+    each, size = of_each(problem.bodies(u), links_of), n * LINKS
     drag = jnp.append(jnp.repeat(each.link, LINKS), jnp.ones(root.shape[1]))
 
     def linearised(rods: CoarseRods):
-        pose = _poses(problem, rods.springs)
+        pose = poses_of(problem, rods.springs)
         own = each, problem.length, rods.angle, pose, rods.stretch
         gradient, second, ends, touch = jax.vmap(lambda *own: _system(problem, *own))(*own)
         roots = jnp.reshape(root, (n, 3, -1))
@@ -304,7 +206,7 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         change = -solve(system, right[:, None])[:, 0]
         angle = rods.angle + jnp.reshape(change[:size], (n, LINKS))
         springs = rods.springs + change[size:]
-        there = jax.vmap(_ends)(each, angle, _poses(problem, springs))
+        there = jax.vmap(ends_of_shares)(each, angle, poses_of(problem, springs))
         moved = jnp.max(jnp.sqrt(jnp.sum((there - ends) ** 2, axis=-1)))
         # Longer steps would also end at saddles.
         good = (moved < STRIDE) & positive_definite(system)
@@ -314,7 +216,8 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         stretch = rods.stretch
         if stretch is not None:
             held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
-            stretch = jnp.where(good, held + jax.vmap(_slid)(touch, ends, there), stretch)
+            moved = held + jax.vmap(_slid)(touch, ends, there)
+            stretch = jnp.where(good & (touch.depth > 0), moved, stretch)
         return CoarseRods(
             jnp.where(good, angle, rods.angle),
             jnp.where(good, springs, rods.springs),
@@ -332,11 +235,11 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
 
 def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
     """The contacts of rods at rest."""
-    each, room = of_each(problem.bodies(u), _whisker), problem.contacts
+    each, room = of_each(problem.bodies(u), links_of), problem.contacts
     owner = problem.profile.object_of
 
     def one(own, length, angle, pose, stretch):
-        touch = _touching(problem, own, length, angle, _ends(own, angle, pose))
+        touch = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
         held = None if stretch is None else _stretch(problem, touch, stretch)
         order = jnp.argsort(-jnp.where(touch.depth > 0, touch.arc, -1.0))
         held = None if held is None else held[order]
@@ -379,7 +282,7 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
         return *jax.vmap(of_group)(jnp.arange(room)), jnp.sum(begins)
 
     signs = corner_signs(problem.profile)
-    given = each, problem.length, rods.angle, _poses(problem, rods.springs), rods.stretch
+    given = each, problem.length, rods.angle, poses_of(problem, rods.springs), rods.stretch
     *contacts, count = jax.vmap(one)(*given)
     z, phase, side, piece, lean = (jnp.reshape(leaf, (-1, *leaf.shape[2:])) for leaf in contacts)
     z, state = landed(problem, z, ChainState(phase, side, piece), lean)
