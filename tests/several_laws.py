@@ -96,10 +96,11 @@ class Outline(NamedTuple):
         number, off = np.argmin(away, axis=-1), np.min(away, axis=-1)
         return Shape(np.where(inside, -off, off), normals[number], np.zeros_like(off))
 
-    def touched(self, x: float, y: float, normal: np.ndarray) -> tuple[float, bool]:
+    def touched(self, x: float, y: float, normal: np.ndarray, *, tip: bool = False) -> tuple[float, bool]:
         """How far a contact is from the next place that can push along its normal, and whether that is a corner.
 
-        A side pushes along its own normal, a corner along all those between the normals of its sides.
+        A side pushes along its own normal, a corner along all those between the normals of its sides. An inner corner
+        does so if a tip is in it.
         """
         at, (along, normals) = np.array([x, y]), self.sides
         found = []
@@ -108,9 +109,10 @@ class Outline(NamedTuple):
             aside = np.linalg.norm(normal - normals[k])
             found.append((max(np.linalg.norm(at - corner - share * along[k]), aside), False))
             ways = along[[k - 1, k]] / np.linalg.norm(along[[k - 1, k]], axis=1)[:, None]
-            if _cross(*ways) > 0:
+            turn = np.sign(_cross(*ways))
+            if turn > 0 or tip:
                 tangent = np.array([-normal[1], normal[0]])  # on the left of the side before, right of the side after
-                beyond = max(0.0, -_cross(ways[0], tangent), -_cross(tangent, ways[1]))
+                beyond = max(0.0, -turn * _cross(ways[0], tangent), -turn * _cross(tangent, ways[1]))
                 beyond = beyond if tangent @ (ways[0] + ways[1]) > 0 else np.inf
                 found.append((max(np.linalg.norm(at - corner), beyond), True))
         return min(found)
@@ -350,7 +352,7 @@ def _of_whisker(plain: Plain, rod: Rod, held: Held) -> dict[str, float]:
 def _turned(one: Callable, contact: Contact) -> float:
     """How far the normal of a contact is from those of its place."""
     if isinstance(one, Outline):
-        return float(one.touched(contact.x, contact.y, contact.normal)[0])
+        return float(one.touched(contact.x, contact.y, contact.normal, tip=contact.phase == TIP)[0])
     return float(np.max(np.abs(one(np.array(contact.x), np.array(contact.y)).normal - contact.normal)))
 
 

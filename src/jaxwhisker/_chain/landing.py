@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from jaxwhisker._chain.changes import changed_contacts
 from jaxwhisker._chain.contacts import ChainState, numbers_of
 from jaxwhisker._chain.friction import keeps_places, slips_of, with_slips
 from jaxwhisker._chain.march_state import (
@@ -23,7 +24,7 @@ from jaxwhisker._chain.march_state import (
     inserted,
     removed,
 )
-from jaxwhisker._chain.margins import MARGIN_NOISE, is_full, margins_of, new_contact
+from jaxwhisker._chain.margins import MARGIN_NOISE, is_full, margins_of, new_contact, piece_ends
 from jaxwhisker._chain.newton import evaluate, of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.rod_flow import Landing, flow, landing_of, rods_of
@@ -130,14 +131,19 @@ def revised_landing(
     other |= leans
     more = inserted(z, state, new, problem.contacts)
     full = is_full(problem, march, new.row)
-    z, state = first_case((jnp.any(pulls), less), (jnp.any(other), turned), otherwise=more)
+    # A contact beyond an end of its piece is on the next one.
+    low, high = margins[LOW] < -DEEP, margins[HIGH] < -DEEP
+    astray = (low | high) & (jnp.cumsum(low | high) == 1)
+    number, (begin, end) = jnp.where(jnp.any(low & astray), LOW, HIGH), piece_ends(problem, march)
+    target = march.target._replace(number=number, whiskers=astray, limit=jnp.where(low, begin, end))
+    passed = changed_contacts(problem, march.replace(target=target), trial)[:2]
+    z, state = first_case((jnp.any(pulls), less), (jnp.any(other), turned), (jnp.any(astray), passed), otherwise=more)
     flow_ = march.flow._replace(tries=march.flow.tries + 1)
     pending = _snap(problem, march.pending, state)
     revised = march.replace(point=march.point._replace(z=z), state=state, flow=flow_, pending=pending)
-    only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other)
+    only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other) & ~jnp.any(astray)
     revised = select(only_deep & full, march.stopped(Status.too_many_contacts), revised)
-    astray = jnp.any(jnp.minimum(margins[LOW], margins[HIGH]) < -DEEP)  # beyond an end of their piece
-    return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep) | astray
+    return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep) | jnp.any(astray)
 
 
 def flow_again(march: MarchOfChain) -> MarchOfChain:

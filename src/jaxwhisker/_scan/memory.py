@@ -5,7 +5,7 @@ its slip came to rest. That event may itself depend on earlier ones. The march s
 get their derivatives, from event to event.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -61,6 +61,7 @@ class Link(NamedTuple):
     places_before: Places
 
 
+@runtime_checkable
 class AfterEvent(Protocol):
     """How a mechanics finds what follows from the event at a node."""
 

@@ -1,0 +1,81 @@
+"""Coarse rods: their shape, and how objects push them."""
+
+# pyright: reportArgumentType=false
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+from jaxwhisker._base import checks
+from jaxwhisker._chain.coarse_rods import (
+    BESIDE,
+    BETWEEN,
+    LINKS,
+    POINTS,
+    SHARES,
+    ends_of_shares,
+    links_of,
+    poses_of,
+    tangents,
+    touching,
+)
+from jaxwhisker._equilibrium.contact import of_each
+from jaxwhisker._scan.chain import problem_now
+
+ROUNDING = 1e-12
+DEEP = 1e-3  # lengths: of the corner in the rod
+LEAN = 0.05  # rad
+HEIGHT = 0.5  # of the corner above the base
+
+
+@cache
+def problem():
+    """An upright whisker whose shaft a corner of a box pushes."""
+    box = jw.Box(HEIGHT, 0.4, 1.2, position=-0.2 + DEEP)
+    return problem_now(jax.tree.map(checks.as_float, jw.Scene(jw.Whisker(), box, contacts=2)))
+
+
+@jax.jit
+def touched(problem, angle, x=0.0):
+    """How objects push the only rod, and where its points are, with its base at this x."""
+    own = jax.tree.map(lambda leaf: leaf[0], of_each(problem.bodies(jnp.asarray(0.0)), links_of))
+    ends = ends_of_shares(own, angle, jnp.array([1.0, 0.0, 0.0]) * x)
+    return touching(problem, own, problem.length[0], angle, ends), ends
+
+
+def test_directions_are_linear_between_the_middles_of_links():
+    np.testing.assert_allclose(BETWEEN.sum(axis=1), 1, rtol=ROUNDING)
+    middles = (np.arange(POINTS) + 0.5) / SHARES - 0.5
+    np.testing.assert_allclose(BETWEEN @ np.arange(LINKS), middles, rtol=ROUNDING, atol=ROUNDING)
+
+
+def test_an_upright_rod_is_straight_and_as_long_as_its_whisker():
+    _, ends = touched(problem(), jnp.full(LINKS, np.pi / 2))
+    np.testing.assert_allclose(ends[-1], [0.0, 1.0], atol=ROUNDING)
+    np.testing.assert_allclose(ends[:, 1], np.arange(1, POINTS + 1) / POINTS, rtol=ROUNDING)
+
+
+def test_points_beside_a_corner_that_pushes_do_not_catch_on_it():
+    # The rod leans to the right: the corner is in it, and points above the corner are in the side next to it.
+    found, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN), -HEIGHT * LEAN)
+    depth, arc = np.asarray(found.depth), np.asarray(found.arc)
+    faces, corners = slice(POINTS), slice(POINTS, None)
+    pushing = arc[corners][depth[corners] > 0]
+    assert pushing.size == 1
+    beside = np.abs(arc[faces] - pushing[0]) < BESIDE
+    assert beside.any() and np.all(depth[faces][beside] == -1)
+
+
+def test_tangents_are_normals_turned_to_the_left():
+    found, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN))
+    along = tangents(found)
+    np.testing.assert_allclose(np.sum(along * found.normal, axis=1), 0, atol=ROUNDING)
+    cross = found.normal[:, 0] * along[:, 1] - found.normal[:, 1] * along[:, 0]
+    np.testing.assert_allclose(cross, 1, rtol=ROUNDING)
+
+
+def test_clamped_bases_do_not_move():
+    own = problem()
+    np.testing.assert_array_equal(poses_of(own, jnp.zeros(own.flexibility.root.shape[1])), own.rest)
