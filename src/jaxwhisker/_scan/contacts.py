@@ -16,7 +16,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.springs import at_base
-from jaxwhisker._scan.state import State, base_of, material
+from jaxwhisker._scan.state import FRICTION, State, base_of, material
 
 
 def has_several(state: Any) -> bool:
@@ -56,9 +56,9 @@ def past_contacts(
     start, load = at_base(base_of(at), (at.fx, at.fy, at.mz))
     cos, sin = jnp.cos(at.contact_slope), jnp.sin(at.contact_slope)
     force_x, force_y = at.contact_force * sin, -at.contact_force * cos
-    if at.normal_force is not None and at.friction_force is not None:
-        force_x = at.normal_force * sin + at.friction_force * cos
-        force_y = at.friction_force * sin - at.normal_force * cos
+    _, normal, along = (getattr(at, name) for name in FRICTION)
+    if normal is not None:
+        force_x, force_y = normal * sin + along * cos, along * sin - normal * cos
     own = jnp.stack([force_x, force_y, at.contact_x * force_y - at.contact_y * force_x])
     # Steps end at all points and at all contacts.
     ends = jnp.append(s, at.contact_arc)
