@@ -24,6 +24,7 @@ LINKS = 60
 SHARES = 4  # of each link, at whose ends objects push
 POINTS = LINKS * SHARES
 STIFFNESS = 2e4  # EI/L^3, of an object along a link
+DEEPEST = 0.1  # lengths: a corner this far beyond a rod is on another side of the object
 BESIDE = 1.5  # shares of a link from a corner that pushes, within which the sides next to it do not
 
 
@@ -134,7 +135,7 @@ def _at_corners(one: PolygonChain, first: Int[Array, ""], own: Links, angle: Arr
         j = jnp.argmin(jnp.where((share >= 0) & (share <= 1), apart, jnp.inf))
         x, y = begins[j, 0] + share[j] * size * cos[j], begins[j, 1] + share[j] * size * sin[j]
         touch = at_corner(one, faces, k, x, y, cos[j], sin[j])
-        passes = (share[j] >= 0) & (share[j] <= 1) & touch.meets
+        passes = (share[j] >= 0) & (share[j] <= 1) & touch.meets & (touch.gap > -DEEPEST)
         normal = touch.side * jnp.stack([sin[j], -cos[j]])
         depth = jnp.where(passes, -touch.gap, -1.0)
         return depth, first + 2 * k, touch.parameter, normal, j + share[j]

@@ -13,7 +13,6 @@ from jaxwhisker._model.polygon_chain import PolygonChain
 
 IN_CONE = 1e-9  # rad: a shaft this close to the tangents at a corner touches it
 PROBE = 1e-9  # lengths
-DEEPEST = 0.1  # lengths: a corner this far beyond a shaft is on another side of the object
 SHALLOW = 0.05  # lengths: shafts deeper behind a face or a corner are on another side of the object
 
 
@@ -89,7 +88,7 @@ def at_corner(
     inside = nearest_face(faces, x - PROBE * out_x, y - PROBE * out_y).distance < 0
     depth = jnp.abs(gap) / jnp.maximum(out_x * normal_x + out_y * normal_y, 1e-3)
     cut = nearest_face(faces, one.xy[k, 0] - depth * out_x, one.xy[k, 1] - depth * out_y).distance < 0
-    meets = fits & (gap > -DEEPEST) & ((gap > 0) | inside | (cut & (gap > -SHALLOW)))
+    meets = fits & ((gap > 0) | inside | (cut & (gap > -SHALLOW)))
     return AtCorner(gap, side, one.start[2 * k] + off + half, meets)
 
 
