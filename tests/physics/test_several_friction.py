@@ -136,3 +136,14 @@ def test_friction_turns_work_into_heat():
     assert np.max(np.abs(balance.residual)) < BALANCED * most
     heat = np.asarray(balance.heat)[:, 0]
     assert np.all(np.diff(heat) > -BALANCED * most) and heat[-1] > 0.1 * most
+
+
+def test_tables_and_datasets_have_friction_of_each_contact():
+    result = jw.scan(circle(), TO_AND_FRO)
+    data = result.to_xarray()
+    for name in ("slip", "normal_force", "friction_force"):
+        assert data[name].dims == ("control", "whisker", "contact")
+        np.testing.assert_array_equal(data[name], getattr(result, name))
+    table = jw.to_dataframe(result)
+    assert {"slip_1_1", "slip_1_2", "normal_force_1_1", "friction_force_1_2"} <= set(table.columns)
+    np.testing.assert_array_equal(table["slip_1_1"], result.slip[:, 0, 0])

@@ -13,7 +13,7 @@ import numpy as np
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._model.scene import AbstractScene, Sensor, Units, time_unit
 from jaxwhisker._model.scene import units as natural_units
-from jaxwhisker._scan.state import IN_SPACE, OBJECTS
+from jaxwhisker._scan.state import FRICTION, IN_SPACE, OBJECTS
 
 # Kinds of quantities, as powers of force and length.
 KINDS = {
@@ -85,7 +85,7 @@ STATE = {
     "contact_object": Quantity("number of the object, 0 without contact", "", "number", _STEP, dtype="int8"),
 }
 # Fields of a state that belong to contacts. If a whisker may have several, they have a further axis, from the tip on.
-OF_CONTACTS = ("contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y", "phase", *OBJECTS)
+OF_CONTACTS = ("contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y", "phase", *FRICTION, *OBJECTS)
 CONTACT = "contact"  # this axis
 QUANTITIES = (
     {"control": Quantity("drive position", "u", CONTROL, ("control",))}
