@@ -13,6 +13,7 @@ from jaxwhisker._base.linear_algebra import (
     positive_definite,
     sign_of_determinant,
     solve,
+    solve_definite,
 )
 
 ROUNDING = 1e-12
@@ -24,6 +25,18 @@ def test_solutions(n):
     rng = np.random.default_rng(n)
     matrix, right = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
     np.testing.assert_allclose(solve(jnp.asarray(matrix), jnp.asarray(right)), np.linalg.solve(matrix, right), ROUNDING)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_solutions_of_definite_systems(n):
+    rng = np.random.default_rng(n)
+    root, right = rng.normal(size=(n, n)), rng.normal(size=n)
+    matrix = root @ root.T + np.eye(n)
+    solution, definite = solve_definite(jnp.asarray(matrix), jnp.asarray(right))
+    assert bool(definite)
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), ROUNDING)
+    lowest = np.linalg.eigvalsh(matrix)[0]
+    assert not bool(solve_definite(jnp.asarray(matrix - 1.001 * lowest * np.eye(n)), jnp.asarray(right))[1])
 
 
 @pytest.mark.parametrize("n", (3, UNROLLED + 1))

@@ -39,10 +39,10 @@ def problem():
 
 @jax.jit
 def touched(problem, angle, x=0.0):
-    """How objects push the only rod, and where its points are, with its base at this x."""
+    """How objects push the only rod, their distances, and where its points are, with its base at this x."""
     own = jax.tree.map(lambda leaf: leaf[0], of_each(problem.bodies(jnp.asarray(0.0)), links_of))
     ends = ends_of_shares(own, angle, jnp.array([1.0, 0.0, 0.0]) * x)
-    return touching(problem, own, problem.length[0], angle, ends), ends
+    return *touching(problem, own, problem.length[0], angle, ends), ends
 
 
 def test_directions_are_linear_between_the_middles_of_links():
@@ -52,14 +52,14 @@ def test_directions_are_linear_between_the_middles_of_links():
 
 
 def test_an_upright_rod_is_straight_and_as_long_as_its_whisker():
-    _, ends = touched(problem(), jnp.full(LINKS, np.pi / 2))
+    _, _, ends = touched(problem(), jnp.full(LINKS, np.pi / 2))
     np.testing.assert_allclose(ends[-1], [0.0, 1.0], atol=ROUNDING)
     np.testing.assert_allclose(ends[:, 1], np.arange(1, POINTS + 1) / POINTS, rtol=ROUNDING)
 
 
 def test_points_beside_a_corner_that_pushes_do_not_catch_on_it():
     # The rod leans to the right: the corner is in it, and points above the corner are in the side next to it.
-    found, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN), -HEIGHT * LEAN)
+    found, _, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN), -HEIGHT * LEAN)
     depth, arc = np.asarray(found.depth), np.asarray(found.arc)
     faces, corners = slice(POINTS), slice(POINTS, None)
     pushing = arc[corners][depth[corners] > 0]
@@ -69,11 +69,20 @@ def test_points_beside_a_corner_that_pushes_do_not_catch_on_it():
 
 
 def test_tangents_are_normals_turned_to_the_left():
-    found, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN))
+    found, _, _ = touched(problem(), jnp.full(LINKS, np.pi / 2 - LEAN))
     along = tangents(found)
     np.testing.assert_allclose(np.sum(along * found.normal, axis=1), 0, atol=ROUNDING)
     cross = found.normal[:, 0] * along[:, 1] - found.normal[:, 1] * along[:, 0]
     np.testing.assert_allclose(cross, 1, rtol=ROUNDING)
+
+
+def test_distances_from_the_nearest_object():
+    _, apart, ends = touched(problem(), jnp.full(LINKS, np.pi / 2 + LEAN), 0.1)
+    # The box is on the left of its corner, above HEIGHT, and its right side at x = DEEP.
+    right, below = np.maximum(ends[:, 0] - DEEP, 0), np.maximum(HEIGHT - ends[:, 1], 0)
+    outside = (right > 0) | (below > 0)
+    assert outside.sum() > POINTS / 2
+    np.testing.assert_allclose(apart[outside], np.hypot(right, below)[outside], atol=ROUNDING)
 
 
 def test_clamped_bases_do_not_move():

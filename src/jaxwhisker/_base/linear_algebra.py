@@ -109,6 +109,26 @@ def positive_definite(matrix: Float[Array, "n n"]) -> Bool[Array, ""]:
     return definite
 
 
+def solve_definite(
+    matrix: Float[Array, "n n"], right: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Bool[Array, ""]]:
+    """Solve matrix @ x = right by elimination without pivoting, and tell whether the matrix is positive definite.
+
+    The matrix is symmetric. If it is not positive definite, the solution is meaningless.
+    """
+    n = matrix.shape[0]
+
+    def eliminate(k, carry):
+        both, definite = carry
+        row = both[k] / both[k, k]
+        rest = jnp.where(jnp.arange(n) == k, 0.0, both[:, k])
+        return (both - rest[:, None] * row).at[k].set(row), definite & (both[k, k] > 0)
+
+    start = jnp.concatenate([matrix, right[:, None]], axis=1), jnp.asarray(True)
+    both, definite = jax.lax.fori_loop(0, n, eliminate, start)
+    return both[:, n], definite
+
+
 SQUARINGS = 40  # resolve eigenvalues of 1e-12 times the largest one
 
 

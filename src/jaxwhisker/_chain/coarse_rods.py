@@ -83,44 +83,50 @@ class TouchingLinks(NamedTuple):
     stiffness: Float[Array, " elements"]
 
 
-def touching(problem: ChainProblem, own: Links, length: Scalar, angle: Array, ends: Array) -> TouchingLinks:
+def touching(
+    problem: ChainProblem, own: Links, length: Scalar, angle: Array, ends: Array
+) -> tuple[TouchingLinks, Float[Array, " points"]]:
+    """How a rod touches all objects, and the distances of the ends of its shares from the nearest one."""
+
     def of_one(one, first):
         if not isinstance(one, PolygonChain):
             return _at_curve(one, first, own, length, ends)
-        faces, corners = _at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)
+        (faces, apart), corners = _at_faces(one, first, ends), _at_corners(one, first, own, angle, ends)
         # Points that pass a corner would otherwise catch on it.
         beside = jnp.abs(faces.arc[:, None] - corners.arc) < BESIDE
         caught = jnp.any(beside & (corners.depth > 0), axis=1)
         both = faces._replace(depth=jnp.where(caught, -1.0, faces.depth)), corners
-        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *both)
+        return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *both), apart
 
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *of_each_object(problem.profile, of_one))
+    touch, apart = zip(*of_each_object(problem.profile, of_one), strict=True)
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *touch), jnp.min(jnp.stack(apart), axis=0)
 
 
-def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: Links, length: Scalar, ends: Array) -> TouchingLinks:
+def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: Links, length: Scalar, ends: Array):
     outline = outline_of(one, own.origin[0], own.origin[1], 1.5 * length)
 
     def at_end(x, y):
         p = nearest(one, outline, x, y)
         at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
         curvature = (rate.sin * at.cos - rate.cos * at.sin) / (rate.x * at.cos + rate.y * at.sin)
-        return -at.off(x, y), p, at.normal, curvature
+        return -at.off(x, y), p, at.normal, curvature, jnp.hypot(x - at.x, y - at.y)
 
-    depth, parameter, normal, curvature = jax.vmap(at_end)(*ends.T)
-    return TouchingLinks(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points())
+    depth, parameter, normal, curvature, apart = jax.vmap(at_end)(*ends.T)
+    return TouchingLinks(depth, jnp.full(POINTS, first), parameter, normal, curvature, *_at_points()), apart
 
 
-def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array) -> TouchingLinks:
+def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array):
     faces = faces_of(one)
 
     def at_end(x, y):
         at = nearest_face(faces, x, y)
         k = jnp.minimum(at.number, faces.x.size - 2)
         depth = jnp.where(faces.touchable[at.number], -at.distance, -1.0)
-        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, jnp.stack([faces.sin[k], -faces.cos[k]])
+        normal = jnp.stack([faces.sin[k], -faces.cos[k]])
+        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, normal, jnp.abs(at.distance)
 
-    depth, piece, parameter, normal = jax.vmap(at_end)(*ends.T)
-    return TouchingLinks(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points())
+    depth, piece, parameter, normal, apart = jax.vmap(at_end)(*ends.T)
+    return TouchingLinks(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points()), apart
 
 
 def _at_corners(one: PolygonChain, first: Int[Array, ""], own: Links, angle: Array, ends: Array) -> TouchingLinks:

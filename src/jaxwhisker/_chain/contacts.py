@@ -19,6 +19,7 @@ follows from rolling, and of the slack where a corner of an object sticks to the
 slip: its force may lean as far as both faces allow, and its numbers are those without friction.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -203,8 +204,46 @@ def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, 
 
 def ends_of(body: WhiskerAtObject, chain: Segments) -> RodStates:
     """States at the ends of all segments; fields (contacts,)."""
-    states = segments(body, chain.start, chain.load, chain.arc, body.length - chain.beyond)
-    return jax.tree.map(lambda leaf: leaf[:, -1], states)
+    material = material_of(body)
+    if isinstance(material, Section):
+        states = segments(body, chain.start, chain.load, chain.arc, body.length - chain.beyond)
+        return jax.tree.map(lambda leaf: leaf[:, -1], states)
+
+    def one(start, load, arc):
+        x, y, cos, sin = start
+        fx, fy = load.force_x, load.force_y
+        bends = jnp.stack([jnp.asarray(moment(x, y, load)), fx * cos + fy * sin, fy * cos - fx * sin]) / material
+        along, across, turned_cos, turned_sin = _uniform_end(bends, arc, step_count(body))
+        ends = x + along * cos - across * sin, y + along * sin + across * cos
+        return *ends, cos * turned_cos - sin * turned_sin, sin * turned_cos + cos * turned_sin
+
+    return jax.vmap(one)(chain.start, chain.load, chain.arc)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _uniform_end(bends: Float[Array, "3"], arc: Scalar, steps: int) -> Float[Array, "4"]:
+    """The end of a uniform segment in the frame of its start.
+
+    `bends` are the moment and the force at the start, along and across the segment, divided by EI. Derivatives need only
+    three tangents through the integration, for any number of contacts.
+    """
+    return _integrated(bends, arc, steps)
+
+
+def _integrated(bends: Float[Array, "3"], arc: Scalar, steps: int) -> Float[Array, "4"]:
+    load = Load(bends[1], bends[2], bends[0])
+    ends = rod.points((0.0, 0.0, 1.0, 0.0), arc, load, None, at=jnp.asarray(fractions(steps)))
+    return jnp.stack([leaf[-1] for leaf in ends])
+
+
+@_uniform_end.defjvp
+def _(steps, primals, tangents):
+    bends, arc = primals
+    by_bends, end = jax.jacfwd(lambda bends: (_integrated(bends, arc, steps),) * 2, has_aux=True)(bends)
+    x, y, cos, sin = end
+    turn = bends[0] - x * bends[2] + y * bends[1]
+    by_arc = jnp.stack([-cos, -sin, turn * sin, -turn * cos])
+    return end, jnp.sum(by_bends * tangents[0], axis=1) + by_arc * tangents[1]
 
 
 class ChainEquations(NamedTuple):

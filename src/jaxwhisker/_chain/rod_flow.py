@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import positive_definite, solve
+from jaxwhisker._base.linear_algebra import solve_definite
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.coarse_rods import (
     BETWEEN,
@@ -37,7 +37,7 @@ from jaxwhisker._equilibrium.contact import Phase, of_each
 from jaxwhisker._equilibrium.point import Contacts
 
 MOST = 48  # points that are pushed at the same time, as far as second derivatives are concerned
-STRIDE = 0.01  # lengths by which any point may move in a step
+STRIDE, LONGEST_STRIDE = 0.01, 0.1  # lengths by which a point may move in a step, close to objects and far from them
 FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
 REST = 1e-7  # lengths by which points at rest may move in a step of the longest time
 STEPS = 600
@@ -77,7 +77,7 @@ def _stretch(problem: ChainProblem, touch: TouchingLinks, stretch: Array) -> Flo
 def _system(problem: ChainProblem, own: Links, length: Scalar, angle: Array, pose: Array, stretch: Array | None):
     """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
     ends, size = ends_of_shares(own, angle, pose), own.link / SHARES
-    touch = touching(problem, own, length, angle, ends)
+    touch, apart = touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
     force = (touch.stiffness * depth)[:, None] * touch.normal
     sticks = jnp.zeros_like(depth)
@@ -86,39 +86,33 @@ def _system(problem: ChainProblem, own: Links, length: Scalar, angle: Array, pos
         force -= (touch.stiffness * held)[:, None] * tangents(touch)
         sticks = jnp.where((held == stretch) & (depth > 0), touch.stiffness, 0.0)
     fine = BETWEEN @ angle
-    cos, sin = jnp.cos(fine), jnp.sin(fine)
-    # Derivatives of the ends of all shares, and of the base, by the angles of the links.
-    rates = jnp.stack([-sin, cos], axis=1)[:, :, None] * BETWEEN[:, None, :]
-    rates = jnp.concatenate([jnp.zeros((1, 2, LINKS)), size * jnp.cumsum(rates, axis=0)])
-
-    def turns(arc, way):
-        """Derivatives along `way` of the points at these arcs."""
-        k = jnp.clip(jnp.ceil(arc).astype(int) - 1, 0, POINTS - 1)
-        at = rates[k] + (arc - k)[:, None, None] * (rates[k + 1] - rates[k])
-        return jnp.sum(way[:, :, None] * at, axis=1)
-
+    cos, sin = size * jnp.cos(fine), size * jnp.sin(fine)
+    # The force on each share is that on its end and on all beyond.
+    k = jnp.clip(jnp.ceil(touch.arc).astype(int) - 1, 0, POINTS - 1)
+    share = (touch.arc - k)[:, None]
+    on_ends = jnp.zeros((POINTS + 1, 2)).at[k].add((1 - share) * force).at[k + 1].add(share * force)
+    beyond = jnp.cumsum(on_ends[::-1], axis=0)[:-1][::-1]
     before = jnp.append(own.upright + pose[2], angle[:-1])
     moment = own.joint * (angle - before - own.bend)
-    by_angle = moment - jnp.append(moment[1:], 0.0) - jnp.sum(turns(touch.arc, force), axis=0)
-    by_pose = -jnp.append(jnp.sum(own.axes * jnp.sum(force, axis=0)[:, None], axis=0), moment[0])
+    by_angle = moment - jnp.append(moment[1:], 0.0) - (beyond[:, 1] * cos - beyond[:, 0] * sin) @ BETWEEN
+    by_pose = -jnp.append(jnp.sum(force, axis=0) @ own.axes, moment[0])
     _, pushed = jax.lax.top_k(touch.depth, min(MOST, touch.depth.size))
     some = jax.tree.map(lambda leaf: leaf[pushed], touch)
-
-    def moves(way):
-        shifts = jnp.stack([jnp.sum(way * own.axes[:, k], axis=1) for k in (0, 1)], axis=1)
-        return jnp.concatenate([turns(some.arc, way), shifts, jnp.zeros_like(way[:, :1])], axis=1)
-
-    into, along = moves(some.normal), moves(tangents(some))
+    reach = jnp.clip(some.arc[:, None] - np.arange(POINTS), 0.0, 1.0)
+    # Derivatives of the points that are pushed, across and along the object, by the angles of links and the pose.
+    way = jnp.concatenate([some.normal, tangents(some)])
+    lever = jnp.concatenate([reach, reach]) * (way[:, 1:] * cos - way[:, :1] * sin)
+    moves = jnp.concatenate([lever @ BETWEEN, way @ own.axes, jnp.zeros_like(way[:, :1])], axis=1)
     stiff, bends = jnp.where(some.depth > 0, some.stiffness, 0.0), -some.stiffness * depth[pushed] * some.curvature
-    bends += sticks[pushed]
-    second = into.T @ (stiff[:, None] * into) + along.T @ (bends[:, None] * along)
-    beyond = jnp.clip(some.arc[:, None] - np.arange(POINTS), 0.0, 1.0).T @ force[pushed]
-    geometric = BETWEEN.T @ (size * (beyond[:, 0] * cos + beyond[:, 1] * sin)[:, None] * BETWEEN)
+    weights = jnp.append(stiff, bends + sticks[pushed])
+    second = moves.T @ (weights[:, None] * moves)
+    along = beyond[:, 0] * cos + beyond[:, 1] * sin
     next_joint = jnp.append(own.joint[1:], 0.0)
-    tight = geometric + jnp.diag(own.joint + next_joint) - jnp.diag(own.joint[1:], 1) - jnp.diag(own.joint[1:], -1)
+    beside = along @ (BETWEEN[:, 1:] * BETWEEN[:, :-1]) - own.joint[1:]
+    tight = jnp.diag(along @ BETWEEN**2 + own.joint + next_joint) + jnp.diag(beside, 1) + jnp.diag(beside, -1)
     second = second.at[:LINKS, :LINKS].add(tight)
     second = second.at[-1, -1].add(own.joint[0]).at[0, -1].add(-own.joint[0]).at[-1, 0].add(-own.joint[0])
-    return jnp.append(by_angle, by_pose), second, ends, touch
+    return jnp.append(by_angle, by_pose), second, ends, touch, apart
 
 
 def _slid(touch: TouchingLinks, before: Array, after: Array) -> Float[Array, " elements"]:
@@ -173,7 +167,7 @@ def _slipping(
     beyond: Array,
 ) -> Float[Array, " elements"]:
     """Objects stretched as far as they can by contacts that slip: near each contact, in the direction of its slip."""
-    touch = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
+    touch, _ = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
     away = jnp.abs(touch.arc[:, None] - POINTS * (1 - beyond / length))
     own_object = jnp.asarray(problem.profile.object_of(touch.piece))
     away = jnp.where(own_object[:, None] == number, away, jnp.inf)
@@ -190,7 +184,7 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
     def linearised(rods: CoarseRods):
         pose = poses_of(problem, rods.springs)
         own = each, problem.length, rods.angle, pose, rods.stretch
-        gradient, second, ends, touch = jax.vmap(lambda *own: _system(problem, *own))(*own)
+        gradient, second, *at = jax.vmap(lambda *own: _system(problem, *own))(*own)
         roots = jnp.reshape(root, (n, 3, -1))
         by_angle = jnp.reshape(np.eye(n)[:, None, :, None] * second[:, :LINKS, None, :LINKS], (size, size))
         mixed = jnp.reshape(jnp.sum(second[:, :LINKS, LINKS:, None] * roots[:, None], axis=2), (size, -1))
@@ -198,21 +192,23 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         by_springs = jnp.eye(root.shape[1]) + jnp.sum(roots[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
         on_springs = rods.springs + jnp.sum(roots * gradient[:, LINKS:, None], axis=(0, 1))
         right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
-        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends, touch
+        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), *at
 
     def step(rods: CoarseRods) -> CoarseRods:
-        right, system, ends, touch = linearised(rods)
+        right, system, ends, touch, apart = linearised(rods)
         system += jnp.diag(drag / rods.time)
-        change = -solve(system, right[:, None])[:, 0]
+        change, definite = solve_definite(system, -right)
         angle = rods.angle + jnp.reshape(change[:size], (n, LINKS))
         springs = rods.springs + change[size:]
         there = jax.vmap(ends_of_shares)(each, angle, poses_of(problem, springs))
-        moved = jnp.max(jnp.sqrt(jnp.sum((there - ends) ** 2, axis=-1)))
+        moved = jnp.sqrt(jnp.sum((there - ends) ** 2, axis=-1))
+        room = jnp.clip(apart / 2, STRIDE, LONGEST_STRIDE)
+        share = jnp.max(moved / room)
         # Longer steps would also end at saddles.
-        good = (moved < STRIDE) & positive_definite(system)
-        growth = jnp.where(moved < STRIDE / 8, 3.0, jnp.where(moved < STRIDE / 2, 1.5, 1.0))
+        good = (share < 1) & definite
+        growth = jnp.where(share < 1 / 8, 3.0, jnp.where(share < 1 / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
-        rests = good & (moved < REST) & (rods.time >= LONGEST_TIME / 4)
+        rests = good & (jnp.max(moved) < REST) & (rods.time >= LONGEST_TIME / 4)
         stretch = rods.stretch
         if stretch is not None:
             held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
@@ -239,7 +235,7 @@ def landing_of(problem: ChainProblem, u: Scalar, rods: CoarseRods) -> Landing:
     owner = problem.profile.object_of
 
     def one(own, length, angle, pose, stretch):
-        touch = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
+        touch, _ = touching(problem, own, length, angle, ends_of_shares(own, angle, pose))
         held = None if stretch is None else _stretch(problem, touch, stretch)
         order = jnp.argsort(-jnp.where(touch.depth > 0, touch.arc, -1.0))
         held = None if held is None else held[order]

@@ -14,6 +14,7 @@ from jaxwhisker._chain.shaft import BaseAt, point_at
 from jaxwhisker._chain.stance import bases_of, stance_of
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase, of_each
 from jaxwhisker._equilibrium.point import PathCondition, along, at_arc_length, at_force, dot, scale_of, unit
+from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import select
 
@@ -38,11 +39,14 @@ def solved_trial(
     ahead = dot(tangent, march.tangent, scale_of(march.point.z))
     forwards = jnp.where(locating & (ahead < 0), -1.0, 1.0)
     stable = begins | (march.direction * forwards * tangent.u > 0)
-    onwards = gap_grows(problem, march, solution, jnp.sign(tangent.u) * march.direction / length)
+    arriving = march.task == Task.arrive
+    sign = jnp.sign(tangent.u) * march.direction / length
+    released = any_lane(arriving & (target.number == RELEASE))
+    onwards = jax.lax.cond(released, lambda: gap_grows(problem, march, solution, sign), lambda: jnp.asarray(True))
     arrives = (onwards | (target.number != RELEASE)) & ~march.slips
     slipping = slip_rates(problem, state, point.z, forwards * tangent.z)
     turns = jnp.append(march.direction * forwards * tangent.u, slipping)
-    stable = jnp.where(march.task == Task.arrive, arrives, stable & jnp.all(turns[1:] > -RATE_NOISE))
+    stable = jnp.where(arriving, arrives, stable & jnp.all(turns[1:] > -RATE_NOISE))
     return TrialOfChain(solution, tangent, stance, candidates, guess, state, stop, jnp.asarray(last), stable, turns)
 
 
