@@ -212,7 +212,8 @@ def ends_of(body: WhiskerAtObject, chain: Segments) -> RodStates:
     def one(start, load, arc):
         x, y, cos, sin = start
         fx, fy = load.force_x, load.force_y
-        bends = jnp.stack([jnp.asarray(moment(x, y, load)), fx * cos + fy * sin, fy * cos - fx * sin]) / material
+        bends = jnp.stack([jnp.asarray(moment(x, y, load)), fx * cos + fy * sin, fy * cos - fx * sin])
+        bends = bends / jnp.asarray(material)
         along, across, turned_cos, turned_sin = _uniform_end(bends, arc, step_count(body))
         ends = x + along * cos - across * sin, y + along * sin + across * cos
         return *ends, cos * turned_cos - sin * turned_sin, sin * turned_cos + cos * turned_sin
@@ -224,8 +225,8 @@ def ends_of(body: WhiskerAtObject, chain: Segments) -> RodStates:
 def _uniform_end(bends: Float[Array, "3"], arc: Scalar, steps: int) -> Float[Array, "4"]:
     """The end of a uniform segment in the frame of its start.
 
-    `bends` are the moment and the force at the start, along and across the segment, divided by EI. Derivatives need only
-    three tangents through the integration, for any number of contacts.
+    `bends` are the moment and the force at the start, along and across the segment, divided by EI. Derivatives need
+    only three tangents through the integration, for any number of contacts.
     """
     return _integrated(bends, arc, steps)
 

@@ -184,7 +184,7 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
     def linearised(rods: CoarseRods):
         pose = poses_of(problem, rods.springs)
         own = each, problem.length, rods.angle, pose, rods.stretch
-        gradient, second, *at = jax.vmap(lambda *own: _system(problem, *own))(*own)
+        gradient, second, ends, touch, apart = jax.vmap(lambda *own: _system(problem, *own))(*own)
         roots = jnp.reshape(root, (n, 3, -1))
         by_angle = jnp.reshape(np.eye(n)[:, None, :, None] * second[:, :LINKS, None, :LINKS], (size, size))
         mixed = jnp.reshape(jnp.sum(second[:, :LINKS, LINKS:, None] * roots[:, None], axis=2), (size, -1))
@@ -192,7 +192,7 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         by_springs = jnp.eye(root.shape[1]) + jnp.sum(roots[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
         on_springs = rods.springs + jnp.sum(roots * gradient[:, LINKS:, None], axis=(0, 1))
         right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
-        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), *at
+        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends, touch, apart
 
     def step(rods: CoarseRods) -> CoarseRods:
         right, system, ends, touch, apart = linearised(rods)
