@@ -133,3 +133,16 @@ def test_noise_on_a_slope_is_no_jump():
         seen = features(observations(0.05 * np.sin(40 * CONTROL)[:, None] + slope[:, None] + noise, 0.3 / STEPS))
         found += int(np.isfinite(seen.low).sum())
     assert found == 0
+
+
+def test_with_friction_a_jump_at_a_turn_of_the_drive_is_no_snap():
+    # The signal rises, drops where the contact sticks behind the turn, and falls; and it jumps elsewhere.
+    out = np.linspace(0.0, 1.0, STEPS)
+    control = np.concatenate([out, out[::-1]])
+    signal = np.concatenate([out, out[:0:-1], out[:1]]) - 0.3 * (np.arange(2 * STEPS) > STEPS + 1)
+    signal += 0.5 * (np.arange(2 * STEPS) > 1.5 * STEPS)
+    seen = Observations(control, np.tile(signal[:, None, None], (1, 1, 3)), np.full((2 * STEPS, 1, 3), 1e-4))
+    jumps = [features(seen, friction=friction) for friction in (False, True)]
+    counts = [int(np.isfinite(one.low).sum()) for one in jumps]
+    assert counts == [2, 1]
+    np.testing.assert_allclose(jumps[1].low[np.isfinite(jumps[1].low)], 1.5, atol=2 / STEPS)

@@ -6,6 +6,8 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -199,11 +201,44 @@ def test_designs_in_space_are_compared_by_the_information():
         np.testing.assert_allclose(data.standard_error[k, 0], alone.standard_error["offset"], rtol=1e-9)
 
 
+def rubbing(distance, friction):
+    return jw.SpaceScene(jw.Whisker(), jw.Sphere(0.3, (0.0, distance, 0.1)), friction=friction)
+
+
+THERE = np.linspace(0.6, -0.05, 60)
+THERE_AND_BACK = np.concatenate([THERE, THERE[::-1]])
+RUBBED = {"distance": 0.9, "friction": 0.3}
+
+
+def test_friction_in_space_is_found_from_a_scan_there_and_back():
+    result = jw.scan(rubbing(**RUBBED), THERE_AND_BACK)
+    assert np.all(result.status == 0) and np.any(np.asarray(result.phase)[90:] > 0)
+    signals = {name: np.asarray(getattr(result, name)) for name in ("fx", "fy", "fz", "mx", "my", "mz")}
+    rng = np.random.default_rng(0)
+    noisy = {name: values + 0.01 * rng.normal(size=values.shape) for name, values in signals.items()}
+    fit = jw.identify(rubbing, {"distance": 0.93, "friction": 0.2}, {"control": THERE_AND_BACK, **noisy}, sigma=0.01)
+    assert fit.status == "ok"
+    for name, true in RUBBED.items():
+        assert abs(fit.parameters[name] - true) < 4 * fit.standard_error[name]
+    data = jw.information(rubbing, RUBBED, sigma=0.01, control=THERE_AND_BACK)
+    for name in RUBBED:
+        np.testing.assert_allclose(fit.standard_error[name], data.standard_error[name], rtol=0.2)
+    one = jw.information(rubbing, RUBBED, sigma=0.01, control=THERE)
+    assert one.standard_error["friction"] > data.standard_error["friction"]
+
+
+def test_information_with_friction_in_space_holds_the_derivatives_of_scans():
+    def signals(x):
+        result = jw.scan(rubbing(*x), THERE_AND_BACK)
+        return jnp.ravel(jnp.stack([getattr(result, name) for name in ("fx", "fy", "fz", "mx", "my", "mz")]))
+
+    slopes = np.asarray(jax.jacfwd(signals)(jnp.array(list(RUBBED.values())))) / 0.01
+    data = jw.information(rubbing, RUBBED, sigma=0.01, control=THERE_AND_BACK)
+    expected = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    np.testing.assert_allclose([data.standard_error[name] for name in RUBBED], expected, rtol=1e-6)
+
+
 def test_what_is_not_supported_in_space_raises_errors(scanned):
-    with pytest.raises(ValueError, match="without friction in space"):
-        jw.identify(
-            lambda q: jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, q, 0.2)), friction=q), {"q": 0.3}, scanned
-        )
     with pytest.raises(ValueError, match="`channels` must be among fx, fy, fz, mx, my, mz"):
         jw.information(clamped, TRUTH, sigma=0.1, control=CONTROL, channels=("height",))
     fit = jw.identify(clamped, TRUTH, scanned, near=True)

@@ -57,6 +57,15 @@ def test_overlaid_signals_weigh_as_one_value(data):
     assert np.all(np.isinf(padded.jump_width))
 
 
+@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("overlaid", [False, True])
+def test_with_friction_a_jump_need_not_be_a_snap_except_for_overlaid_scans(data, friction, overlaid):
+    observed = read_observations(data, NOISE)
+    route = route_of(observed.control)
+    padded = samples_of(observed, features(observed), route, overlaid=overlaid, length=1.0, friction=friction)
+    assert padded.missing == (0.0 if friction and not overlaid else MISSING_EVENT)
+
+
 def snaps_at(snap):
     """One jump between travel 1.0 and 1.1."""
 
@@ -70,7 +79,9 @@ def snaps_at(snap):
 @pytest.mark.unchecked
 def test_a_snap_within_its_gap_costs_little_and_far_outside_much():
     gap = 0.1
-    weights: Any = SimpleNamespace(jump_width=2.0 * gap * jnp.ones(JUMPS), jump_weight=12**0.5 / gap * jnp.ones(JUMPS))
+    weights: Any = SimpleNamespace(
+        jump_width=2.0 * gap * jnp.ones(JUMPS), jump_weight=12**0.5 / gap * jnp.ones(JUMPS), missing=MISSING_EVENT
+    )
 
     def cost(snap):
         return float(_residuals_of_snaps(snaps_at(snap), weights)[0])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxwhisker._inverse.observations import Observations
-from jaxwhisker._scan.route import route_of
+from jaxwhisker._scan.route import route_of, turns_of
 
 JUMPS = 16  # largest number of jumps
 ABOVE_NOISE = 5.0  # standard deviations from which a signal counts as contact
@@ -15,6 +15,7 @@ STEEPER = 4.0  # least ratio of the slope of a jump to that of the signal on eit
 AROUND = 4  # samples on either side whose median slope counts, too
 LEAST_JUMP = 0.02  # of the peak
 BEFORE = 5  # widths of a jump over which the steep signal before it may look like another jump
+AFTER_TURN = 4  # samples after a turn of the drive within which friction changes signals as suddenly as a jump
 LARGER = 2.0  # least ratio of such a jump to one before it that is discarded
 EARLY = 0.2  # of the peak, up to which a signal after a touch is treated as a parabola
 ONSETS = 60  # positions of the touch that are tried
@@ -47,12 +48,20 @@ class Scatter(NamedTuple):
     noisy: Bool[np.ndarray, " kinds"]  # whether it is noise, and not the curvature of signals between few samples
 
 
-def features(observations: Observations, *, snaps: bool = True) -> Features:
-    """Find touches, releases and, if these are snaps, jumps in the signals alone."""
+def features(observations: Observations, *, snaps: bool = True, friction: bool = False) -> Features:
+    """Find touches, releases and, if these are snaps, jumps in the signals alone.
+
+    With friction, contacts stick where the drive turns, and signals may jump there without a snap.
+    """
     travel = np.asarray(route_of(observations.control).travel)
     noise = np.nan_to_num(observations.sigma)
     values = observations.values if snaps else np.zeros_like(observations.values)
     low, high = _jumps(travel, values / observations.peaks, noise / observations.peaks)
+    if friction:
+        turns = turns_of(observations.control)
+        begin, end = travel[turns], travel[np.minimum(turns + AFTER_TURN, travel.size - 1)]
+        sticks = np.any((low >= begin[:, None]) & (low < end[:, None]), axis=0)
+        low, high = np.where(sticks, np.nan, low), np.where(sticks, np.nan, high)
     contact = in_contact(observations)
     ends = [_contact(travel, observations.values[:, k], contact[:, k]) for k in range(contact.shape[1])]
     touch, touch_error, release = np.array(ends).T

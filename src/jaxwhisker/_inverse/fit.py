@@ -50,7 +50,8 @@ class Recording(NamedTuple):
             pick = np.unique(np.linspace(0, observations.control.size - 1, BLOCK).astype(int))
             observations, landmarks = observations.at(pick), landmarks._replace(travel=landmarks.travel[pick])
         route, length = route_of(self.observations.control), float(units(self.scene).control)
-        return samples_of(observations, landmarks, route, overlaid=overlaid, length=length)
+        friction = self.scene.friction is not None
+        return samples_of(observations, landmarks, route, overlaid=overlaid, length=length, friction=friction)
 
     @property
     def can_be_overlaid(self) -> bool:

@@ -111,7 +111,7 @@ def identify(
     than 5 % of the peak. Of the other options, `bounds` and `transform` apply. The result is a BendingFit.
 
     Args:
-        build: makes a Scene, in space without friction, from named numbers: parameters of springs, object and
+        build: makes a Scene from named numbers: parameters of springs, object and
             whiskers; or a whisker and loads. JAX must be able to trace it.
         guess: an initial value of each unknown parameter.
         measured: `control` and any of fx, fy, mz (fx_1, fx_2, ... of several whiskers; in space also fz, mx, my), or of
@@ -218,7 +218,8 @@ def _read(measured: Any, sigma: Any, channels: Channels, names: tuple[str, ...],
 
 def _recording(observations: Observations, centred: Observations, scene: AbstractScene, snaps: bool) -> Recording:
     first_leg = slice(0, min([*turns_of(observations.control), observations.control.size - 1]) + 1)
-    landmarks = (features(one, snaps=snaps) for one in (centred, centred.at(first_leg)))
+    options = {"snaps": snaps, "friction": scene.friction is not None}
+    landmarks = (features(one, **options) for one in (centred, centred.at(first_leg)))
     return Recording(observations, next(landmarks), first_leg, next(landmarks), scene)
 
 

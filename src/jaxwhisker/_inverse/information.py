@@ -210,7 +210,7 @@ def information(
     """Compute the Fisher information of a scene's signals about its parameters, by exact derivatives.
 
     Args:
-        build: makes a Scene, in space without friction, from named numbers. JAX must be able to trace it.
+        build: makes a Scene from named numbers. JAX must be able to trace it.
         at: the unknown parameters with their values.
         sigma: standard deviation of the signals' noise, independent from step to step: a number, or a mapping from
             channels to numbers.

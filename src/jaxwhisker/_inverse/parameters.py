@@ -190,7 +190,7 @@ def read_parameters(argument: str, given: Any) -> dict[str, Any]:
 
 
 def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Any:
-    """The scene that `build` makes of values, in the plane or in space without friction.
+    """The scene that `build` makes of values.
 
     Raises:
         ValueError: if `build` does not take these names, or does not return such a scene.
@@ -198,8 +198,6 @@ def build_scene(argument: str, build: Any, values: Mapping[str, float]) -> Any:
     checks.arguments(argument, build, list(values))
     scene = build(**values)
     checks.instance("build", scene, AbstractScene, "a Scene", verb="return")
-    if scene.in_space and scene.friction is not None:
-        checks.fail("build", "a function that returns a scene without friction in space", "one with friction")
     return scene
 
 

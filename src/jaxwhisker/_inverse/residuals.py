@@ -60,6 +60,7 @@ class Samples(NamedTuple):
     end_weight: Any  # (2, whiskers) of the positions of touches and releases
     jump_weight: Any  # (jumps,) of the distance between a snap and the middle of its gap
     jump_width: Any  # (jumps,) distance over which that weight grows
+    missing: Any  # length that a snap counts as off if the model has none
     overlaid: Any  # whether scans are overlaid
     direction: Any  # sign of the change of the control from the first sample to the last
 
@@ -80,8 +81,12 @@ def samples_of(
     *,
     overlaid: bool,
     length: float,
+    friction: bool = False,
 ) -> Samples:
-    """Pad observations, and weight them for the overlaid stage or the others."""
+    """Pad observations, and weight them for the overlaid stage or the others.
+
+    With friction, signals also change suddenly where contacts begin to slip: what looks like a snap may be none.
+    """
     # Recordings of similar length share a compilation.
     padding = -observations.control.size % BLOCK
 
@@ -104,6 +109,7 @@ def samples_of(
         end_weight=1 / np.hypot(OVERLAID_EVENT * length, [touch_error, 0 * touch_error]),
         jump_weight=1 / (np.full(JUMPS, OVERLAID_EVENT * length) if overlaid else UNIFORM * gap),
         jump_width=np.full(JUMPS, np.inf) if overlaid else WIDER * gap,
+        missing=np.asarray(0.0 if friction and not overlaid else MISSING_EVENT),
         overlaid=np.asarray(overlaid),
         direction=np.asarray(float(np.sign(control[-1] - control[0]) or -1.0)),
     )
@@ -295,7 +301,7 @@ def _pair_snaps(events: EventTable, at, happened, overlay: Callable, data: Sampl
 
 def _residuals_of_snaps(snaps: _Snaps, data: Samples) -> Float[Array, " jumps"]:
     middle = (snaps.low + snaps.high) / 2
-    off = jnp.where(snaps.paired, snaps.snap - middle, jnp.where(snaps.jump, MISSING_EVENT, 0.0))
+    off = jnp.where(snaps.paired, snaps.snap - middle, jnp.where(snaps.jump, data.missing, 0.0))
     outside = (off / data.jump_width) ** 4
     return off * (1 + OUTSIDE * outside / (1 + outside)) * data.jump_weight
 
