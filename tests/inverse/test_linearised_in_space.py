@@ -217,9 +217,9 @@ def test_friction_in_space_is_found_from_a_scan_there_and_back():
     rng = np.random.default_rng(0)
     noisy = {name: values + 0.01 * rng.normal(size=values.shape) for name, values in signals.items()}
     fit = jw.identify(rubbing, {"distance": 0.93, "friction": 0.2}, {"control": THERE_AND_BACK, **noisy}, sigma=0.01)
-    assert fit.status == "ok"
+    assert fit.status == jw.FitStatus.ok, str(fit)
     for name, true in RUBBED.items():
-        assert abs(fit.parameters[name] - true) < 4 * fit.standard_error[name]
+        assert abs(fit.estimates[name] - true) < 4 * fit.standard_error[name]
     data = jw.information(rubbing, RUBBED, sigma=0.01, control=THERE_AND_BACK)
     for name in RUBBED:
         np.testing.assert_allclose(fit.standard_error[name], data.standard_error[name], rtol=0.2)

@@ -352,10 +352,18 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
                 (snapped & ~converged & closer, shorter),
                 (snapped & (~converged | wrong) | stays, flow_again(march)),
                 (snapped & ~at_loss, onwards),
+                (~converged & self._is_wedged(march), march.stopped(Status.undetermined)),
                 (~converged, march.stopped(Status.lost)),
                 (~trial.stance.opens, march.stopped(Status.not_convex)),
             ],
         )
+
+    def _is_wedged(self, march: MarchOfChain) -> Array:
+        """Whether two neighbouring contacts stick: the force along a straight part between them is not determined."""
+        if march.state.friction is None:
+            return jnp.asarray(False)
+        sticks = of_whiskers(self.problem, held_of(self.problem.profile, march.state).sticks)
+        return jnp.any(sticks[:, 1:] & sticks[:, :-1])
 
     def to_snap(self, march: MarchOfChain):
         return to_snap(march)

@@ -25,7 +25,7 @@ from jaxwhisker._path.path import NO_EVENT, EventKind, Node, select
 LIGHT = 1e-6  # EI/L^2: smallest force of a contact that sticks: the lean of no force is unknown
 RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
 LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
-CONE_NOISE = 1e-11  # ... and of the force across the normal of others, in EI/L^2
+CONE_NOISE = 1e-9  # ... and of the force across the normal of others, in EI/L^2
 # Share of its limit from which the lean of coarse rods at rest counts as that of a slip. They have drag, and slide
 # beyond the place at which a slow slip would end.
 NEARLY_SLIPS = 0.5
