@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from jaxwhisker._dynamics.simulate import simulate
     from jaxwhisker._dynamics.simulation import Simulation
     from jaxwhisker._explore import explore
+    from jaxwhisker._file.scene_file import load_control, load_scene, save_scene
     from jaxwhisker._inverse.bending import BendingFit
     from jaxwhisker._inverse.design import design
     from jaxwhisker._inverse.fit import Fit
@@ -153,9 +154,12 @@ __all__ = [
     "information",
     "lateral_loss",
     "lateral_stability",
+    "load_control",
+    "load_scene",
     "modes",
     "read_columns",
     "reconstruct",
+    "save_scene",
     "scan",
     "shapes",
     "simulate",
@@ -177,6 +181,7 @@ _LATER = {
     "_dynamics.simulate": ("simulate",),
     "_dynamics.simulation": ("Simulation",),
     "_explore": ("explore",),
+    "_file.scene_file": ("load_control", "load_scene", "save_scene"),
     "_inverse.bending": ("BendingFit",),
     "_inverse.design": ("design",),
     "_inverse.fit": ("Fit",),

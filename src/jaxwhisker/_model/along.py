@@ -147,6 +147,17 @@ class LinearTaper(eqx.Module):
         return self.base + (self.tip - self.base) * (s / self.length)
 
 
+class PowerTaper(eqx.Module):
+    """Bending stiffness of a cone: its diameter falls linearly from the base by a share `taper` at the tip."""
+
+    base_stiffness: Scalar
+    taper: Scalar
+    length: Scalar
+
+    def __call__(self, s: Scalar) -> Scalar:
+        return self.base_stiffness * (1 - self.taper * (s / self.length)) ** 4
+
+
 class RoundSection(eqx.Module):
     """Bending stiffness of a circular cross-section, E pi d^4 / 64; E and d may be functions of the arc length."""
 

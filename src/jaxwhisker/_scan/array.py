@@ -18,7 +18,7 @@ from jaxwhisker._base.columns import cells_of, floats
 from jaxwhisker._base.data_files import published
 from jaxwhisker._base.suggest import Suggesting
 from jaxwhisker._base.types import Control, Scalar
-from jaxwhisker._model.along import ParabolicShape
+from jaxwhisker._model.along import ParabolicShape, PowerTaper
 from jaxwhisker._model.drives import SpaceMotion, WhiskDrive
 from jaxwhisker._model.motion import AbstractMotion, Mount
 from jaxwhisker._model.space_scene import SpaceScene
@@ -46,17 +46,6 @@ SHAPE = ("parabola", "curvature", "lateral_curvature", "twist", "torsion_ratio")
 SPRINGS = {f"spring_{axis}": axis for axis in ("x", "y", "z", "phi_x", "phi", "phi_y")}
 COLUMNS = ("name", *PLACES, *ANGLES, *RATES, "length", *ROUND, *STIFF, *SHAPE, *SPRINGS)
 ALLOWED = f"among {', '.join(COLUMNS)}"
-
-
-class PowerTaper(eqx.Module):
-    """Bending stiffness of a cone: its diameter falls linearly from the base by a share `taper` at the tip."""
-
-    base_stiffness: Scalar
-    taper: Scalar
-    length: Scalar
-
-    def __call__(self, s: Scalar) -> Scalar:
-        return self.base_stiffness * (1 - self.taper * (s / self.length)) ** 4
 
 
 class Array(eqx.Module, metaclass=Suggesting):

@@ -1,0 +1,1 @@
+"""Scenes as files: reading, writing, and the schema of both, which follows from the classes that make scenes."""
