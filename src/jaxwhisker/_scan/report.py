@@ -11,8 +11,7 @@ import numpy as np
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._scan.contacts import has_several
 from jaxwhisker._scan.dataset import counted
-from jaxwhisker._scan.quantities import REACTIONS, UnitSystem, kind_of, unit_in_words
-from jaxwhisker._scan.result import Result
+from jaxwhisker._scan.quantities import UnitSystem, kind_of, reactions_of, unit_in_words
 
 ROUNDED = 1e-9  # relative to the unit; smaller numbers are printed as zero
 LEAST_DECIMALS, MOST_DECIMALS = -1, 9  # decimals of six significant digits; outside, numbers get powers of ten
@@ -66,21 +65,21 @@ class _Printed(UnitSystem):
         return f"{value:.5e}" if abs(value) > ROUNDED * ratio else "0"
 
 
-def event_table(result: Result, units: str = "auto") -> str:
+def event_table(result: Any, units: str = "auto") -> str:
     """Table of events: one row per event and whisker; for a snap, one row before it and one after it.
 
     If whiskers may have several contacts, there are columns for the contact and its object, as in `Event`. A last line
     says how many events did not fit into the result.
 
     Args:
-        result: the Result of a single scan.
+        result: the Result or SpaceResult of a single scan.
         units: "auto", "SI" or "dimensionless".
 
     Raises:
         ValueError: if `units` is none of these.
     """
     printed = _Printed(result.scene, units)
-    names = ("base_x", *REACTIONS)
+    names = ("base_x", *reactions_of(result.scene))
     places = ("contact", "object") if has_several(result) else ()
     header, rows = [printed.heading("control"), "event", "whisker", *places, "", *map(printed.heading, names)], []
     for event in result.events:
@@ -136,7 +135,7 @@ def peak_table(result: Any, units: str = "auto") -> str:
     """
     printed = _Printed(result.scene, units)
     place, rows = f"at {printed.heading('control')}", []
-    for whisker, name in product(range(result.fx.shape[1]), REACTIONS):
+    for whisker, name in product(range(result.fx.shape[1]), reactions_of(result.scene)):
         column = np.asarray(getattr(result, name))[:, whisker]
         rows.append([str(whisker + 1), printed.heading(name)])
         for pick in (np.nanargmin, np.nanargmax):
@@ -151,6 +150,11 @@ def peak_table(result: Any, units: str = "auto") -> str:
     return table(["whisker", "reaction", "minimum", place, "maximum", place], rows)
 
 
+def is_timed(result: Any) -> bool:
+    """Whether it is a motion in time rather than a scan."""
+    return hasattr(result, "time")
+
+
 def touches_object(result: Any) -> bool:
     """Whether any whisker touches the object at any step."""
     return bool(np.any(np.asarray(result.phase) != Phase.free))
@@ -160,7 +164,7 @@ def status_line(result: Any) -> tuple[int, str]:
     """Number of failed steps or samples, and a line that counts them by status."""
     counts, steps = counted(result.status), np.size(result.status)
     words = ", ".join(f"{count} {name}" for name, count in counts.items())
-    return steps - counts.get("ok", 0), f"{steps} {'samples' if hasattr(result, 'time') else 'steps'}: {words}"
+    return steps - counts.get("ok", 0), f"{steps} {'samples' if is_timed(result) else 'steps'}: {words}"
 
 
 def write_columns(columns: dict[str, np.ndarray], path: Path, comment: str) -> None:

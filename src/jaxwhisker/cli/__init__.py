@@ -14,6 +14,7 @@ from jaxwhisker.cli.inverse import add_identify, add_reconstruct
 from jaxwhisker.cli.options import INTERRUPTED, NO_CONTACT, NOT_ALL_OK, OK, USAGE, UsageError, short_warnings
 from jaxwhisker.cli.reproduce import add_reproduce
 from jaxwhisker.cli.scan import add_scan
+from jaxwhisker.cli.schema import add_schema
 from jaxwhisker.cli.study import add_study
 
 __all__ = ["INTERRUPTED", "NOT_ALL_OK", "NO_CONTACT", "OK", "USAGE", "main"]
@@ -29,9 +30,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="jaxwhisker", description="Quasi-static scans with elastically coupled tactile whiskers.")
     parser.add_argument("--version", action="version", version=f"jaxwhisker {version('jaxwhisker')}")
     commands = parser.add_subparsers(dest="command", metavar="command", required=True)
-    adds = add_scan, add_film, add_explore, add_study, add_identify, add_reconstruct, add_reproduce, add_cache
-    for add in adds:
+    for add in (add_scan, add_film, add_explore, add_study, add_identify, add_reconstruct, add_reproduce, add_cache):
         add(commands)
+    add_schema(commands)
     return parser
 
 

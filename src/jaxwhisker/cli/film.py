@@ -9,6 +9,7 @@ from jaxwhisker._scan.report import status_line
 from jaxwhisker.cli import options
 from jaxwhisker.cli.motion import add_motion
 from jaxwhisker.cli.scan import exit_code, run_of
+from jaxwhisker.cli.scene_file import add_scene_file
 from jaxwhisker.film.animate import FPS, LONGEST, SECONDS, animate, check
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 def add_film(commands) -> None:
     """Add the command `film`."""
     command = options.add_command(commands, run_film, "write a film of one scene")
+    add_scene_file(command)
     command.add_argument("file", type=Path, metavar="FILE", help="film: .mp4, .webm or .gif")
     options.add_sensor(command)
     options.add_object(command)
@@ -36,10 +38,10 @@ def add_film(commands) -> None:
 
 
 def run_film(args: argparse.Namespace) -> int:
-    r"""Scan one object with the whiskers of one model and write a film of it: whiskers,
-    springs and contact forces on the left, the reactions on the right, and every
-    event as it happens. A snap appears as the motion of the bases after the loss of
-    stability. This motion is not to scale in time.
+    r"""Scan one object with the whiskers of one model, or the scene of a file, and write
+    a film of it: whiskers, springs and contact forces on the left, the reactions on
+    the right, and every event as it happens. A snap appears as the motion of the
+    bases after the loss of stability. This motion is not to scale in time.
 
     With --drive-speed, the film shows the motion in time instead, with reactions
     over time; see `jaxwhisker scan`.
@@ -55,6 +57,7 @@ def run_film(args: argparse.Namespace) -> int:
 
     examples:
       jaxwhisker film --model FBFBR --stiffness 70 --distance 0.2 scan.mp4
+      jaxwhisker film examples/sensor.toml scan.gif
       jaxwhisker film --model FB --profile circle --seconds 6 --width 640 scan.gif
       jaxwhisker film --drive-speed 0.2 --mass-per-length 1 \
           --stiffness-damping 0.02 --playback-speed 1 motion.mp4

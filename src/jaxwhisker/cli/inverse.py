@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxwhisker._file.scene_file import SceneFile
 from jaxwhisker._inverse.features import noise_of
 from jaxwhisker._inverse.fit_contour import fit_contour
 from jaxwhisker._inverse.fit_profile import fit_profile
@@ -20,6 +21,7 @@ from jaxwhisker._model.scene import Sensor
 from jaxwhisker._scan.quantities import REACTIONS
 from jaxwhisker._scan.report import write_columns, write_rows
 from jaxwhisker.cli import options
+from jaxwhisker.cli.scene_file import add_scene_file, file_of
 
 SIGNALS = """\
 The file has a header with the names control and any of fx, fy, mz (fx_1,
@@ -33,6 +35,7 @@ those of `jaxwhisker scan --csv`, whose files can be used as they are."""
 def add_identify(commands) -> None:
     """Add the command `identify`."""
     command = options.add_command(commands, run_identify, "fit the parameters of a scene to measured signals")
+    add_scene_file(command)
     _add_signals(command)
     options.add_object(command)
     add = command.add_argument_group("fit").add_argument
@@ -99,7 +102,9 @@ def run_identify(args: argparse.Namespace) -> int:
 
     parameters: stiffness (of all springs, each on its own: c1, c2, ...),
     rest_length (l1, l2, ...), c1, l2, ..., distance, position, a, b, radius,
-    length, bending_stiffness, and friction if --friction is given
+    length, bending_stiffness, and friction if --friction is given; with a file of a
+    scene, every number in it, by its key: radius, or objects.2.radius if several
+    numbers have this key. A key stands for all numbers that have it.
 
     exit codes:
       0  the fit is ok
@@ -109,16 +114,17 @@ def run_identify(args: argparse.Namespace) -> int:
     example:
       jaxwhisker identify examples/measured.csv --model FBFBR \
           --guess stiffness=100,distance=0.25 --free stiffness,distance
+      jaxwhisker identify sensor.toml measured.csv --free stiffness,radius
     """
     options.check_outputs(args.plot, args.csv)
     with options.usage_errors():
-        values = _parameters(args)
-        free = [n for name in args.free.split(",") for n in _expanded(_name(name), values)]
+        values, expanded, make = _of_options(args) if (file := file_of(args)) is None else _of_file(file)
+        free = [n for name in args.free.split(",") for n in expanded(_name(name))]
         for name, value in args.guess.items():
-            values |= dict.fromkeys(_expanded(name, values), float(value))
+            values |= dict.fromkeys(expanded(name), float(value))
         guess = {name: values.pop(name) for name in dict.fromkeys(free)}
         print(f"fitting {', '.join(guess)} to {args.data}", flush=True)
-        build = partial(options.make_scene, args, **values)
+        build = partial(make, **values)
         unknown = {"offsets": args.offsets, "gains": args.gains, "shift": args.shift}
         fit = identify(build, guess, args.data, sigma=args.sigma, **unknown)
     print(f"\n{fit}")
@@ -131,6 +137,17 @@ def run_identify(args: argparse.Namespace) -> int:
         print(f"wrote {args.csv}")
     options.save_picture(args.plot, lambda plot: plot.fit(fit)[0])
     return options.OK if fit.status == FitStatus.ok else options.NOT_ALL_OK
+
+
+def _of_options(args: argparse.Namespace) -> tuple[dict[str, float], Callable, Callable]:
+    """Parameters of the scene of the options, what a name stands for, and the function that makes the scene."""
+    values = _parameters(args)
+    return values, lambda name: _expanded(name, values), partial(options.make_scene, args)
+
+
+def _of_file(file: SceneFile) -> tuple[dict[str, float], Callable, Callable]:
+    """The same of the scene in a file."""
+    return {name: number.value for name, number in file.numbers.items()}, file.chosen, file.build
 
 
 def _parameters(args: argparse.Namespace) -> dict[str, float]:

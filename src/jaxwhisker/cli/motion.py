@@ -4,8 +4,11 @@ import argparse
 import math
 from typing import TYPE_CHECKING
 
+from jaxwhisker._file.scene_file import SceneFile
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import Scene, time_unit
 from jaxwhisker.cli import options
+from jaxwhisker.cli.scene_file import control_of
 
 if TYPE_CHECKING:
     from jaxwhisker._dynamics.simulation import Simulation
@@ -29,8 +32,8 @@ def add_motion(command: argparse.ArgumentParser) -> None:
     add("--time-step", type=number, metavar="DT", help=f"largest time step (default: {STEP:g} T)")
 
 
-def check_motion(args: argparse.Namespace) -> None:
-    """Check that the options of motion fit together, before anything is computed.
+def check_motion(args: argparse.Namespace, scene: AbstractScene) -> None:
+    """Check that the options of motion fit together and to a scene, before anything is computed.
 
     Raises:
         ValueError: if not; the message names the option.
@@ -43,18 +46,21 @@ def check_motion(args: argparse.Namespace) -> None:
     for option, value in (("drive-speed", args.drive_speed), ("time-step", args.time_step)):
         if value is not None and not 0 < value < math.inf:
             raise ValueError(f"--{option} must be a positive finite number, got {value}.")
-    if args.mass_per_length is None:
-        raise ValueError("--drive-speed needs --mass-per-length, in the units of the other options.")
+    if scene.in_space:
+        raise ValueError("--drive-speed needs a scene in the plane: motions in space are not available.")
+    if scene.whiskers[0].mass_per_length is None:
+        needed = "--mass-per-length, in the units of the other options" if args.scene is None else "`mass_per_length`"
+        raise ValueError(f"--drive-speed needs {needed}.")
     if args.detect:
         raise ValueError("--detect needs a scan: a motion with --drive-speed goes on in these contacts.")
 
 
-def motion_of(args: argparse.Namespace, scene: Scene) -> "Simulation":
+def motion_of(args: argparse.Namespace, scene: Scene, file: SceneFile | None = None) -> "Simulation":
     """Simulate the motion of a scene whose drive moves at constant speed, with a sample at each of its positions."""
     from jaxwhisker._dynamics.simulate import simulate
 
     unit, speed = float(time_unit(scene.whiskers[0])), args.drive_speed
-    control = options.control_of(args, scene, further=LATER * unit * speed)
+    control = control_of(args, scene, file, further=LATER * unit * speed)
     if control is None or control.size < 2:
         raise ValueError("--step must leave at least two positions between --start and --stop for a motion.")
     largest = STEP * unit if args.time_step is None else args.time_step

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.conic import Circle, Ellipse, Parabola
 from jaxwhisker._model.motion import Translation
 from jaxwhisker._model.scene import DETECTABLE, Scene, Units, units_of
@@ -24,6 +25,7 @@ from jaxwhisker._rod.elastica import AbstractRod, Shooting
 from jaxwhisker._scan.quantities import KINDS, UNITS, unit_in_words
 from jaxwhisker._scan.route import MOST_STEPS, STEP
 from jaxwhisker._scan.scan import default_control
+from jaxwhisker.cli.given import note_options
 
 MODEL_NAMES = ("clamped", "FB", "FBFB", "FBFBR", "FBFBFBR")
 
@@ -130,6 +132,7 @@ def add_command(commands, run: Callable[[argparse.Namespace], int], short: str) 
     name = run.__name__.removeprefix("run_")
     command = commands.add_parser(name, help=short, description=about, epilog=details, formatter_class=style)
     command.set_defaults(run=run)
+    note_options(command)
     return command
 
 
@@ -311,7 +314,7 @@ def positions(start: float, stop: float, step: float) -> np.ndarray:
     return start + np.sign(stop - start) * step * np.arange(int(steps + 1e-9) + 1)
 
 
-def control_of(args: argparse.Namespace, scene: Scene | None, *, further: float = 0.0) -> np.ndarray | None:
+def control_of(args: argparse.Namespace, scene: AbstractScene | None, *, further: float = 0.0) -> np.ndarray | None:
     """Drive positions of the scan of a scene, or of all scans of a study; None for the default ones.
 
     Args:

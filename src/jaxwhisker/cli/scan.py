@@ -1,17 +1,18 @@
 """The command `scan`: one scene."""
 
 import argparse
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxwhisker._scan.export import to_csv
 from jaxwhisker._scan.lateral import lateral_loss
-from jaxwhisker._scan.report import event_table, peak_table, status_line, timed_event_table, touches_object
+from jaxwhisker._scan.report import event_table, is_timed, peak_table, status_line, timed_event_table, touches_object
 from jaxwhisker._scan.result import Result
 from jaxwhisker._scan.scan import scan
 from jaxwhisker.cli import options
 from jaxwhisker.cli.motion import add_motion, check_motion, motion_of
+from jaxwhisker.cli.scene_file import add_scene_file, control_of, file_of
 
 if TYPE_CHECKING:
     from jaxwhisker.plot.runs import Run
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 def add_scan(commands) -> None:
     """Add the command `scan`."""
     command = options.add_command(commands, run_scan, "scan one scene")
+    add_scene_file(command)
     options.add_sensor(command)
     options.add_object(command)
     options.add_drive(command)
@@ -32,9 +34,9 @@ def add_scan(commands) -> None:
 
 
 def run_scan(args: argparse.Namespace) -> int:
-    r"""Scan one object with the whiskers of one model. The command prints the events,
-    the peaks and the number of failed steps. It writes the signals to --csv and a
-    picture to --plot.
+    r"""Scan one object with the whiskers of one model, or the scene of a file, which may
+    be in space. The command prints the events, the peaks and the number of failed
+    steps. It writes the signals to --csv and a picture to --plot.
 
     Any consistent system of units is allowed: other defaults follow from --length
     (L) and --bending-stiffness (EI). With the defaults of these everything is
@@ -60,6 +62,7 @@ def run_scan(args: argparse.Namespace) -> int:
     examples:
       jaxwhisker scan --model FBFBR --stiffness 70 --distance 0.2 \
           --plot fig.png --csv scan.csv
+      jaxwhisker scan examples/sensor.toml --start 0.03 --csv scan.csv
       jaxwhisker scan --model FBFB --stiffness 70,inf --rest-length 0.2,0.3
       jaxwhisker scan --model clamped --profile circle --start 0.5 --stop -1
       jaxwhisker scan --model clamped --profile circle --lateral-curvature 0
@@ -76,7 +79,7 @@ def run_scan(args: argparse.Namespace) -> int:
             losses = np.asarray(lateral_loss(result, args.lateral_curvature))
     if touches_object(result):
         units = args.units
-        events = event_table(result, units) if isinstance(result, Result) else timed_event_table(result, units)
+        events = timed_event_table(result, units) if is_timed(result) else event_table(result, units)
         print(f"\n{events}\n\n{peak_table(result, units)}\n")
     for k, loss in enumerate([] if losses is None else losses, 1):
         where = "stays in the plane" if np.isnan(loss) else f"leaves the plane at u = {float(loss):+.6g}"
@@ -97,12 +100,17 @@ def run_scan(args: argparse.Namespace) -> int:
 
 
 def run_of(args: argparse.Namespace) -> "Run":
-    """Print the scene that the options describe, and scan it, or simulate its motion."""
-    scene = options.scene_of(args)
+    """Print the scene that the options or a file describe, and scan it, or simulate its motion."""
+    file = file_of(args)
+    scene: Any = options.scene_of(args) if file is None else file.scene
     options.check_drive(args)
-    check_motion(args)
+    check_motion(args, scene)
+    if scene.in_space and getattr(args, "lateral_curvature", None) is not None:
+        raise ValueError("--lateral-curvature needs a scene in the plane.")
     print(scene, flush=True)
-    return scan(scene, options.control_of(args, scene)) if args.drive_speed is None else motion_of(args, scene)
+    if args.drive_speed is None:
+        return scan(scene, control_of(args, scene, file))
+    return motion_of(args, scene, file)
 
 
 def exit_code(result: "Run") -> int:
@@ -112,5 +120,5 @@ def exit_code(result: "Run") -> int:
         return options.NOT_ALL_OK
     if touches_object(result):
         return options.OK
-    print("No whisker touches the object" + ": all reactions are zero" * isinstance(result, Result) + ".")
+    print("No whisker touches the object" + ": all reactions are zero" * (not is_timed(result)) + ".")
     return options.NO_CONTACT
