@@ -10,7 +10,7 @@ import pytest
 from jaxwhisker import cli
 from jaxwhisker.cli import scan as command
 
-COMMANDS = ("scan", "film", "explore", "study", "identify", "reconstruct", "reproduce", "cache")
+COMMANDS = ("scan", "film", "explore", "study", "identify", "reconstruct", "reproduce", "cache", "schema")
 
 
 def test_the_module_runs_as_a_command_in_its_own_process(tmp_path):

@@ -92,7 +92,7 @@ def test_options_of_the_drive_come_before_the_file(argv, control, small):
     args = parsed("scan", str(small), *argv)
     file = file_of(args)
     assert file is not None
-    np.testing.assert_allclose(control_of(args, file.scene, file), control, rtol=EXACT)
+    np.testing.assert_allclose(np.asarray(control_of(args, file.scene, file)), control, rtol=EXACT)
 
 
 def test_without_a_range_the_scan_goes_right_across(small):

@@ -16,6 +16,7 @@ from jaxwhisker._file.toml import text_of
 from jaxwhisker._file.writing import tables_of
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.scene import Scene
+from jaxwhisker._model.space_scene import SpaceScene
 
 
 class SceneFile:
@@ -28,7 +29,7 @@ class SceneFile:
         ValueError: if the file does not describe a scene; the message names the file, the line and the key.
     """
 
-    scene: AbstractScene
+    scene: Scene | SpaceScene
     range: ScanRange
 
     def __init__(self, path: str | Path):
@@ -51,16 +52,16 @@ class SceneFile:
             raise ValueError(f"`{name}` must be a number in {self.path}: one of {', '.join(self.numbers)}.")
         return found
 
-    def build(self, **values: Any) -> AbstractScene:
+    def build(self, **values: Any) -> Scene | SpaceScene:
         """The scene with other values of some numbers, by name."""
         return _made_of(with_values(self._document, self.numbers, values))[0]
 
 
-def _made_of(document: Document) -> tuple[AbstractScene, ScanRange]:
+def _made_of(document: Document) -> tuple[Scene | SpaceScene, ScanRange]:
     return document.call(_make, file_arguments(), document.tables, (), "the scene", RENAMED)
 
 
-def _make(objects: Any, scan: ScanRange = WHOLE, **parts: Any) -> tuple[AbstractScene, ScanRange]:
+def _make(objects: Any, scan: ScanRange = WHOLE, **parts: Any) -> tuple[Scene | SpaceScene, ScanRange]:
     """The scene of the keys of a file, and the range of its scan."""
     one = objects[0] if isinstance(objects, tuple) and len(objects) == 1 else objects
     return Scene(profile=one, **{_ARGUMENTS.get(key, key): value for key, value in parts.items()}), scan
@@ -69,7 +70,7 @@ def _make(objects: Any, scan: ScanRange = WHOLE, **parts: Any) -> tuple[Abstract
 _ARGUMENTS = {key: name for name, key in RENAMED.items()}
 
 
-def load_scene(path: str | Path) -> AbstractScene:
+def load_scene(path: str | Path) -> Scene | SpaceScene:
     """The scene that a TOML file describes.
 
     [Scenes as files](../scene_files.md) describes the format. `jaxwhisker schema` prints it as a JSON schema.

@@ -101,4 +101,5 @@ def _described(make: Any) -> dict[str, str]:
         return _described(getattr(make.__self__, other[1]))
     block = text.partition("Args:\n")[2].partition("\n\nRaises:")[0]
     found = {name: " ".join(words.split()) for name, words in _ARGUMENT.findall(block)}
-    return {RENAMED.get(name, name): words for name, words in found.items()} if make is Scene else found
+    renamed = RENAMED if make is Scene else {}
+    return {renamed.get(str(name), str(name)): words for name, words in found.items()}

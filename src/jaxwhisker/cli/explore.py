@@ -85,9 +85,9 @@ def run_explore(args: argparse.Namespace) -> int:
     logarithmic if HIGH/LOW is above 20. Position, length and bending stiffness
     have a slider only if a range is given. A stiffness of inf has no slider.
 
-    With a file of a scene, which may be in space, --range names its numbers by their
-    keys: radius, or objects.2.radius if several numbers have this key. By default,
-    ranges go from a third to three times the number.
+    With a file of a scene, which may be in space, --range names its numbers by
+    their keys: radius, or objects.2.radius if several numbers have this key. By
+    default, ranges go from a third to three times the number.
 
     The first picture waits for the compiler unless the cache has its programs.
     Units and signs are those of `jaxwhisker scan`. A button shows Python code for
@@ -101,7 +101,7 @@ def run_explore(args: argparse.Namespace) -> int:
     examples:
       jaxwhisker explore --model FBFBR
       jaxwhisker explore --model FBFB --stiffness 70,10:500:200 --port 8080
-      jaxwhisker explore examples/sensor.toml --range stiffness=1:10,radius=0.01:0.05
+      jaxwhisker explore examples/sensor.toml --range distance=0.02:0.04
     """
     with options.usage_errors():
         from jaxwhisker._explore.hosts import serve

@@ -38,10 +38,11 @@ def add_film(commands) -> None:
 
 
 def run_film(args: argparse.Namespace) -> int:
-    r"""Scan one object with the whiskers of one model, or the scene of a file, and write
-    a film of it: whiskers, springs and contact forces on the left, the reactions on
-    the right, and every event as it happens. A snap appears as the motion of the
-    bases after the loss of stability. This motion is not to scale in time.
+    r"""Scan one object with the whiskers of one model, or the scene of a file, and
+    write a film of it: whiskers, springs and contact forces on the left, the
+    reactions on the right, and every event as it happens. A snap appears as the
+    motion of the bases after the loss of stability. This motion is not to scale in
+    time.
 
     With --drive-speed, the film shows the motion in time instead, with reactions
     over time; see `jaxwhisker scan`.

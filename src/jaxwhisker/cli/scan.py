@@ -34,9 +34,9 @@ def add_scan(commands) -> None:
 
 
 def run_scan(args: argparse.Namespace) -> int:
-    r"""Scan one object with the whiskers of one model, or the scene of a file, which may
-    be in space. The command prints the events, the peaks and the number of failed
-    steps. It writes the signals to --csv and a picture to --plot.
+    r"""Scan one object with the whiskers of one model, or the scene of a file, which
+    may be in space. The command prints the events, the peaks and the number of
+    failed steps. It writes the signals to --csv and a picture to --plot.
 
     Any consistent system of units is allowed: other defaults follow from --length
     (L) and --bending-stiffness (EI). With the defaults of these everything is
