@@ -16,7 +16,8 @@ from jaxwhisker.cli.scene_file import control_of, file_of
 
 ROOT = Path(__file__).parents[2]
 SENSOR, VIBRISSA = (str(ROOT / "examples" / f"{name}.toml") for name in ("sensor", "vibrissa"))
-EXACT = 1e-9  # relative: the file has all digits, fits end where rounding does not let them go on
+EXACT = 1e-9  # relative: the file has all digits
+FITTED = 1e-6  # relative: of fits to signals without noise
 
 SMALL = """
 [whisker]
@@ -200,12 +201,25 @@ def test_films_are_of_the_scene_in_the_file(monkeypatch, tmp_path, capsys):
 def test_fits_find_the_numbers_of_the_file(small, tmp_path, capsys):
     scan, fit = tmp_path / "scan.csv", tmp_path / "fit.csv"
     assert cli.main(["scan", str(small), "--csv", str(scan)]) == cli.OK
-    argv = ["identify", str(small), str(scan), "--free", "stiffness,objects.distance"]
+    saved = tmp_path / "fitted.toml"
+    argv = ["identify", str(small), str(scan), "--free", "stiffness,objects.distance", "--save", str(saved)]
     assert cli.main([*argv, "--guess", "distance=0.32,stiffness=40", "--csv", str(fit)]) == cli.OK
     out = capsys.readouterr().out
     assert f"fitting stiffness, distance to {scan}" in out
     rows = [line.split(",") for line in fit.read_text().splitlines()[1:]]
-    assert {row[0]: pytest.approx(float(row[1]), rel=1e-6) for row in rows} == {"stiffness": 50.0, "distance": 0.3}
+    assert {row[0]: pytest.approx(float(row[1]), rel=FITTED) for row in rows} == {"stiffness": 50.0, "distance": 0.3}
+    assert 'kind = "FB"' in saved.read_text()
+    assert 1 / float(jw.load_scene(saved).support.springs[0].softness) == pytest.approx(50.0, rel=FITTED)
+    np.testing.assert_array_equal(np.asarray(jw.load_control(saved)), np.asarray(jw.load_control(small)))
+
+
+def test_scenes_of_options_are_saved(monkeypatch, tmp_path, capsys):
+    result = handmade_scan(0.05, 2.4e-5)
+    monkeypatch.setattr(scan_command, "scan", lambda scene, control: result)
+    path = tmp_path / "scene.toml"
+    assert cli.main(["scan", "--save", str(path)]) == cli.OK
+    assert capsys.readouterr().out.endswith(f"wrote {path}\n")
+    assert str(jw.load_scene(path)) == str(result.scene)
 
 
 def test_parameters_of_fits_are_those_of_the_file():

@@ -161,6 +161,13 @@ def test_scenes_are_built_with_traced_numbers(file):
     assert float(jax.grad(radius)(0.04)) == 3.0
 
 
+def test_files_are_written_with_other_numbers(file, tmp_path):
+    path = tmp_path / "changed.toml"
+    values = {name: number.value for name, number in file.numbers.items()}
+    file.save(path, values | {"objects.2.radius": np.float64(0.04)})
+    assert path.read_text().split() == FILE.replace("radius = 0.02", "radius = 0.04").replace("1e-6", "1e-06").split()
+
+
 def test_unknown_numbers_are_named(file):
     with pytest.raises(ValueError, match=r"`width` must be a number in .*: one of friction, length"):
         file.chosen("width")

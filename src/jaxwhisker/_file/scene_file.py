@@ -1,5 +1,6 @@
 """Scenes in files, and the positions of the drive at which they are scanned."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,11 @@ class SceneFile:
     def build(self, **values: Any) -> Scene | SpaceScene:
         """The scene with other values of some numbers, by name."""
         return _made_of(with_values(self._document, self.numbers, values))[0]
+
+    def save(self, path: str | Path, values: Mapping[str, Any]) -> None:
+        """Write the file with other values of some numbers, by name; comments are lost."""
+        changed = {name: float(value) for name, value in values.items() if value != self.numbers[name].value}
+        Path(path).write_text(text_of(with_values(self._document, self.numbers, changed).tables), "utf-8")
 
 
 def _made_of(document: Document) -> tuple[Scene | SpaceScene, ScanRange]:

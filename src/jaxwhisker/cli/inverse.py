@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxwhisker._file.scene_file import SceneFile
+from jaxwhisker._file.scene_file import SceneFile, save_scene
 from jaxwhisker._inverse.features import noise_of
 from jaxwhisker._inverse.fit_contour import fit_contour
 from jaxwhisker._inverse.fit_profile import fit_profile
@@ -45,7 +45,8 @@ def add_identify(commands) -> None:
     add("--offsets", action="store_true", help="fit an unknown constant offset of each channel")
     add("--gains", action="store_true", help="fit an unknown factor of each channel: signals in any unit")
     add("--shift", action="store_true", help="fit an unknown constant offset of the control")
-    options.add_output(command, csv="estimates and standard errors")
+    add = options.add_output(command, csv="estimates and standard errors")
+    add("--save", type=Path, metavar="SCENE.toml", help="file of the scene with the estimates")
 
 
 def add_reconstruct(commands) -> None:
@@ -114,11 +115,14 @@ def run_identify(args: argparse.Namespace) -> int:
     example:
       jaxwhisker identify examples/measured.csv --model FBFBR \
           --guess stiffness=100,distance=0.25 --free stiffness,distance
-      jaxwhisker identify sensor.toml measured.csv --free stiffness,radius
+      jaxwhisker identify sensor.toml measured.csv --free stiffness,radius \
+          --save fitted.toml
     """
     options.check_outputs(args.plot, args.csv)
+    options.check_writable(args.save)
     with options.usage_errors():
-        values, expanded, make = _of_options(args) if (file := file_of(args)) is None else _of_file(file)
+        file = file_of(args)
+        values, expanded, make = _of_options(args) if file is None else _of_file(file)
         free = [n for name in args.free.split(",") for n in expanded(_name(name))]
         for name, value in args.guess.items():
             values |= dict.fromkeys(expanded(name), float(value))
@@ -135,6 +139,13 @@ def run_identify(args: argparse.Namespace) -> int:
         ]
         write_rows([["parameter", "estimate", "standard_error", "low", "high"], *rows], args.csv)
         print(f"wrote {args.csv}")
+    if args.save is not None:
+        estimates = {name: fit.estimates[name] for name in guess}
+        if file is None:
+            save_scene(build(**estimates), args.save)
+        else:
+            file.save(args.save, values | estimates)
+        print(f"wrote {args.save}")
     options.save_picture(args.plot, lambda plot: plot.fit(fit)[0])
     return options.OK if fit.status == FitStatus.ok else options.NOT_ALL_OK
 

@@ -1,10 +1,12 @@
 """The command `scan`: one scene."""
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxwhisker._file.scene_file import save_scene
 from jaxwhisker._scan.export import to_csv
 from jaxwhisker._scan.lateral import lateral_loss
 from jaxwhisker._scan.report import event_table, is_timed, peak_table, status_line, timed_event_table, touches_object
@@ -30,6 +32,7 @@ def add_scan(commands) -> None:
     text = "report where whiskers leave the plane without lateral guidance; K: curvature of the object across it"
     command.add_argument("--lateral-curvature", type=options.parse_number, metavar="K", help=text)
     add = options.add_output(command, csv="control, reactions, base positions, spring lengths, phases, status")
+    add("--save", type=Path, metavar="SCENE.toml", help="file of the scene, for this and other commands")
     options.add_units(add)
 
 
@@ -70,6 +73,7 @@ def run_scan(args: argparse.Namespace) -> int:
           --stiffness-damping 0.02 --csv motion.csv
     """
     options.check_outputs(args.plot, args.csv)
+    options.check_writable(args.save)
     with options.usage_errors():
         if None not in (args.lateral_curvature, args.drive_speed):
             raise ValueError("--lateral-curvature belongs to scans, and --drive-speed to motions in time: choose one.")
@@ -88,6 +92,10 @@ def run_scan(args: argparse.Namespace) -> int:
     if args.csv is not None:
         to_csv(result, args.csv)
         print(f"wrote {args.csv}")
+    if args.save is not None:
+        scene: Any = result.scene
+        save_scene(scene, args.save)
+        print(f"wrote {args.save}")
 
     def picture(plot):
         figure = plot.overview(result, units=args.units)
