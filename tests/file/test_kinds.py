@@ -101,5 +101,8 @@ def test_arguments_know_what_they_hold():
     assert spring["stiffness"].is_number and not spring["stiffness"].required
     assert {"table", "polynomial"} <= set(whisker["bending_stiffness"].kinds)
     assert whisker["length"].is_number and not whisker["length"].kinds
-    assert not arguments_of(jw.Shooting)["steps"].is_number
+    assert not arguments_of(jw.Shooting)["steps"].is_number and not arguments_of(jw.Cut)["profile"].is_number
+    depths = {"length": 0, "breaks": 1}
+    assert {name: whisker[name].dimensions for name in depths} == depths
+    assert spring["between"].dimensions == 1 and arguments_of(jw.Polygon)["vertices"].dimensions == 2
     assert set(arguments_of(jw.Cut)["profile"].kinds) == set(kinds_of(jw.AbstractProfile))

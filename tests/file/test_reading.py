@@ -96,6 +96,9 @@ WRONG = {  # what is replaced, by what, the line, and words of the message
     "part of the scene": ("friction = 0.1", "detect = 3", 2, ["`detect`", "second_contact", "3"]),
     "two surfaces": (f'"ellipse"\n{AXES}', '"paraboloid"\ndistance = 0.1', 24, ["`objects` must be one surface"]),
     "drive": ("direction = -1", "direction = 2", 37, ["`direction`", "-1 or 1", "2"]),
+    "part of a point": (
+        "direction = -1", 'kind = "rotation"\npivot = [0, nan]', 38, ["`pivot[1]`", "nan", "rotation"]
+    ),
     "steps": ("steps = 21", "steps = 1", 42, ["`steps`", "at least 2", "1", "scan"]),
     "syntax": ("distance = 0.02", "distance = ", 26, ["not TOML", "Invalid value"]),
     "key twice": ("b = 0.02", "a = 0.02", 33, ["not TOML", "overwrite"]),
@@ -140,6 +143,13 @@ def test_files_that_do_not_exist_are_named(tmp_path):
     (tmp_path / "latin.toml").write_bytes(b"a = '\xe9'")
     with pytest.raises(ValueError, match="utf-8"):
         jw.load_scene(tmp_path / "latin.toml")
+
+
+def test_marks_of_editors_are_skipped(tmp_path):
+    path = tmp_path / "sensor.toml"
+    path.write_text(SENSOR, "utf-8-sig")
+    assert path.read_bytes()[:3] == b"\xef\xbb\xbf"
+    assert jw.load_scene(path).support.whiskers == 2
 
 
 def test_errors_about_places_without_a_line_name_what_contains_them():

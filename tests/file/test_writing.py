@@ -66,6 +66,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_a_file_cannot_hold_is_refused(name, tmp_path):
     scene, words = REFUSED[name]
@@ -76,6 +77,7 @@ def test_what_a_file_cannot_hold_is_refused(name, tmp_path):
     assert not path.exists()
 
 
+@pytest.mark.unchecked
 def test_only_concrete_scenes_are_written(tmp_path):
     with pytest.raises(ValueError, match="`scene` must be concrete"):
         jax.jit(lambda q: jw.save_scene(planar(jw.Circle(q, 0.5)), tmp_path / "scene.toml"))(0.3)

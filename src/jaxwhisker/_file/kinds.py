@@ -64,6 +64,7 @@ FAMILIES: dict[Any, tuple[type, ...]] = {
 # Names in files of arguments of scenes, which have one name in the plane and in space.
 RENAMED = {"profile": "objects", "surface": "objects", "motion": "drive"}
 SCAN = "scan"  # the table that does not belong to the scene
+UNKNOWN = Any, inspect.Parameter.empty  # types that say nothing
 NONE = "none"  # the text that stands for None
 
 
@@ -81,18 +82,13 @@ class Argument(NamedTuple):
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds numbers of any size rather than counts, names or truth values; or their type is unknown."""
-        return float in self.types or not {int, str, bool}.intersection(self.types)
-
-    @property
-    def holds_numbers(self) -> bool:
-        """Whether it holds numbers at all, or their type is unknown."""
-        return any(one in (float, Any, inspect.Parameter.empty) or hasattr(one, "dim_str") for one in self.types)
+        """Whether it holds numbers of any size, and not only counts, names or truth values; or their type is unknown."""
+        return any(one in (float, *UNKNOWN) or hasattr(one, "dim_str") for one in self.types)
 
     @property
     def dimensions(self) -> int:
         """The largest depth of the arrays that it may hold."""
-        arrays = tuple, list, Sequence, Any, inspect.Parameter.empty
+        arrays = tuple, list, Sequence, *UNKNOWN
         depths = [len(getattr(one, "dim_str", "").split()) for one in self.types]
         return max(int(any(one in arrays for one in self.types)), *depths)
 

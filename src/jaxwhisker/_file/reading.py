@@ -39,7 +39,7 @@ class Document:
             SceneFileError: if there is no such file, or it is not TOML.
         """
         try:
-            text = Path(path).read_text("utf-8")
+            text = Path(path).read_text("utf-8-sig")
         except (OSError, TypeError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or str(error)
             raise SceneFileError(f"`path` must be the path of a TOML file, got {path}: {why}.") from None

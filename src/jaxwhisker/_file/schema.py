@@ -48,7 +48,7 @@ class _Schema:
     def _value(self, argument: Argument, description: str | None) -> dict[str, Any]:
         """The schema of the value of a key."""
         words = {word for made, word in _WORDS.items() if made in argument.types}
-        if argument.is_number and argument.holds_numbers:
+        if argument.is_number:
             words = (words - {"integer"}) | {"number"}
         allowed: list[dict[str, Any]] = [{"type": word} for word in sorted(words)]
         if argument.families:
