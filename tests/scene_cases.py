@@ -49,6 +49,10 @@ SCENES = {
     "several contacts": planar(CIRCLE, jw.Box(0.4, 0.2, 0.3, position=2.0), contacts=3, friction=0.2),
     "table": planar(CIRCLE, whisker=TABLE),
     "cone": planar(jw.Circle(0.01, 0.02), whisker=CONE),
+    "cone with a tip": planar(
+        jw.Circle(0.01, 0.02),
+        whisker=jw.Whisker(0.05, CONE.bending_stiffness, mass_per_length=CONE.mass_per_length, tip_mass=1e-6),
+    ),
     "section in a table": planar(
         jw.Circle(0.01, 0.02),
         whisker=jw.Whisker.from_table([0.0, 0.01, 0.02], youngs_modulus=3e9, diameter=[2e-4, 1.5e-4, 5e-5]),

@@ -11,6 +11,7 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._file.kinds import FAMILIES, arguments_of
+from jaxwhisker._file.named import same
 from jaxwhisker._file.scene_file import SceneFile
 from jaxwhisker._model.motion import AbstractDriveMotion
 from jaxwhisker._model.surface import AbstractSurface
@@ -24,15 +25,6 @@ OF_TIME = {"Whisking", "Sweep"}  # drives of `simulate`: functions of time, whic
 OF_FUNCTIONS = {"Motion", "PoseDrive", "Surface"}  # of more than one number, for which files have no functions
 
 
-def same(one, other) -> bool:
-    """Whether two trees have the same structure and the same numbers, to the last bit."""
-    leaves, others = jax.tree.leaves(one), jax.tree.leaves(other)
-    return jax.tree.structure(one) == jax.tree.structure(other) and all(
-        np.asarray(a, dtype=float).tobytes() == np.asarray(b, dtype=float).tobytes()
-        for a, b in zip(leaves, others, strict=True)
-    )
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_round_trip(name, tmp_path):
     path = tmp_path / "scene.toml"
@@ -43,12 +35,6 @@ def test_scenes_round_trip(name, tmp_path):
     text = path.read_text()
     jw.save_scene(again, path)
     assert path.read_text() == text
-
-
-def test_other_scenes_are_not_the_same():
-    assert not same(planar(jw.Circle(0.3, 0.5)), planar(jw.Circle(0.3, np.nextafter(0.5, 1.0))))
-    assert not same(planar(jw.Circle(0.3, 0.5)), planar(jw.Circle(0.3, 0.5), motion=jw.Translation(1)))
-    assert not same(planar(jw.Circle(0.3, 0.5, 0.0)), planar(jw.Circle(0.3, 0.5, -0.0)))
 
 
 def parts_of(tree) -> set[type]:

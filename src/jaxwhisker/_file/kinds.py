@@ -82,7 +82,7 @@ class Argument(NamedTuple):
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds numbers of any size, and not only counts, names or truth values; or their type is unknown."""
+        """Whether it holds numbers of any size, not only counts, names or truth values; or their type is unknown."""
         return any(one in (float, *UNKNOWN) or hasattr(one, "dim_str") for one in self.types)
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import PlainFunction, name_of
 from jaxwhisker._file.kinds import FAMILIES, NONE, RENAMED, Argument, arguments_of, scene_arguments
+from jaxwhisker._file.named import named_call
 from jaxwhisker._file.reading import KIND
 from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.drives import SpaceMotion
@@ -64,11 +65,14 @@ def _written(value: Any, argument: Argument, key: str, owner: Any) -> Any:
     kinds = [kind for kind in argument.kinds.values() if kind.is_class and type(value) is kind.makes]
     if not kinds:
         raise ValueError(_cannot(value, argument, key, owner))
-    table = {} if kinds[0] is argument.usual else {KIND: kinds[0].name}
-    for name, own in kinds[0].arguments.items():
-        part = getattr(value, name)
-        if not _is_default(part, own):
-            table[name] = _written(part, own, name, value)
+    if (named := named_call(value)) is None:
+        kind, parts = kinds[0], {name: getattr(value, name) for name in kinds[0].arguments}
+    else:
+        kind, parts = named
+    table = {} if kind is argument.usual else {KIND: kind.name}
+    for name, own in kind.arguments.items():
+        if name in parts and not _is_default(parts[name], own):
+            table[name] = _written(parts[name], own, name, value)
     return table
 
 
