@@ -54,7 +54,7 @@ def test_help_shows_every_default(capsys):
     described = shown.split("options:")[1].split("Any consistent")[0]
     names = {word for word in described.split() if word.startswith("--") and word[2:].replace("-", "").isalpha()}
     assert {"--stiffness", "--rest-length", "--length", "--distance", "--a", "--b", "--radius", "--step"} <= names
-    without = {"--help", "--plot", "--csv", "--stop."}
+    without = {"--help", "--plot", "--csv", "--save", "--stop."}
     assert described.count("default:") >= len(names - without)
 
 
