@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._file import scene_file
 from jaxwhisker._file.kinds import FAMILIES, arguments_of
 from jaxwhisker._file.named import same
 from jaxwhisker._file.scene_file import SceneFile
+from jaxwhisker._file.writing import tables_of
 from jaxwhisker._model.motion import AbstractDriveMotion
 from jaxwhisker._model.surface import AbstractSurface
 from scene_cases import CIRCLE, SCENES, planar
@@ -99,6 +101,15 @@ def test_positions_round_trip(control, tmp_path):
     assert ("positions" in path.read_text()) == isinstance(control, list)
     read = jw.load_control(path)
     assert read is None if control is None else np.array_equal(np.asarray(read), control)
+
+
+def test_a_file_that_would_give_another_scene_is_not_written(tmp_path, monkeypatch):
+    path = tmp_path / "scene.toml"
+    other = tables_of(planar(jw.Circle(0.3, 0.6)))
+    monkeypatch.setattr(scene_file, "tables_of", lambda scene: other)
+    jw.save_scene(planar(jw.Circle(0.3, 0.6)), path)
+    with pytest.raises(ValueError, match=r"one that a file gives again, got clamped: .* r = 0\.5"):
+        jw.save_scene(planar(jw.Circle(0.3, 0.5)), path)
 
 
 FILE = """

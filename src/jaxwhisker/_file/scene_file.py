@@ -10,6 +10,7 @@ import numpy as np
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Control
 from jaxwhisker._file.kinds import RENAMED, SCAN, file_arguments
+from jaxwhisker._file.named import same
 from jaxwhisker._file.numbers import Number, chosen, numbers_of, with_values
 from jaxwhisker._file.reading import Document
 from jaxwhisker._file.scan_range import WHOLE, ScanRange, spaced
@@ -143,9 +144,11 @@ def save_scene(scene: AbstractScene, path: str | Path, control: Control | None =
     checks.instance("scene", scene, AbstractScene, "a Scene")
     tables = tables_of(scene)
     try:
-        _made_of(Document("the file", tables, {}))
+        again = _made_of(Document("the file", tables, {}))[0]
     except ValueError as error:
         raise ValueError(f"`scene` must be a single scene to be written to a file: {error}") from error
+    if not same(again, scene):
+        checks.fail("scene", "one that a file gives again", str(scene))
     if control is not None:
         checks.vector("control", control)
         tables[SCAN] = _scan_table(np.asarray(control, dtype=float))
