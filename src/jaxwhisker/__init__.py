@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from jaxwhisker._inverse.identify import identify
     from jaxwhisker._inverse.information import Information, information
     from jaxwhisker._inverse.measurement import Measurement, MeasurementModel
-    from jaxwhisker._inverse.points import PointStatus, Reconstruction, SpaceReconstruction
+    from jaxwhisker._inverse.points import ContactsReconstruction, PointStatus, Reconstruction, SpaceReconstruction
     from jaxwhisker._inverse.reconstruct import reconstruct
     from jaxwhisker._inverse.statistics import FitStatus
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
@@ -73,6 +73,7 @@ __all__ = [
     "Box",
     "Circle",
     "ClosedForm",
+    "ContactsReconstruction",
     "Contour",
     "ContourFit",
     "Cut",
@@ -191,7 +192,7 @@ _LATER = {
     "_inverse.identify": ("identify",),
     "_inverse.information": ("Information", "information"),
     "_inverse.measurement": ("Measurement", "MeasurementModel"),
-    "_inverse.points": ("PointStatus", "Reconstruction", "SpaceReconstruction"),
+    "_inverse.points": ("ContactsReconstruction", "PointStatus", "Reconstruction", "SpaceReconstruction"),
     "_inverse.reconstruct": ("reconstruct",),
     "_inverse.statistics": ("FitStatus",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),

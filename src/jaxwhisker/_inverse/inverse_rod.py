@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.dimensionless import sections
@@ -172,6 +172,9 @@ class Instrument(NamedTuple):
         known = self if signals.pose is None else self._replace(flexibility=jnp.zeros_like(self.flexibility))
         located = each_whisker(self.section, locate, signals.lean, *known._observations(drive, signals))
         ok = signals.touching & located.near.ok
+        if judgement.explained is not None:
+            ok &= located.near.chi2 < judgement.explained[0]
+            ok &= located.near.phase.tip | ~self._keep_integral()
         reactions = jnp.where(ok[:, None], located.state.reaction, signals.measured)
         bases = known._base_poses(drive, reactions) if signals.pose is None else signals.pose
         x, y, slope, arc, base_angle = located.state.values.T
@@ -181,6 +184,11 @@ class Instrument(NamedTuple):
         covariance = known._covariance(located, drive[2], jnp.where(ok[:, None], signals.noise, 0.0))
         near = located.near
         return Contacts(contact, base, near.phase.tip, ok, near.chi2, covariance + located.ambiguous)
+
+    def _keep_integral(self) -> Bool[np.ndarray, "*whiskers"]:
+        """For which whiskers one contact on the shaft explains several."""
+        sections = self.section if isinstance(self.section, tuple) else (self.section,)
+        return np.array([keeps_integral(section) for section in sections])
 
     def _observations(self, drive, signals: StepSignals) -> tuple:
         """The fields of a PlaneObservation of every whisker, except the section."""
@@ -232,6 +240,16 @@ def instrument(sensor: Sensor, unit: Units) -> Instrument:
         flexibility.matrix.reshape(n, 3, n, 3),
         rest + flexibility.offset.reshape(n, 3),
     )
+
+
+def keeps_integral(section: Section | None) -> bool:
+    """Whether R . t + m^2 / (2 EI) + kappa0 m is the same all along a whisker.
+
+    R is the internal force, t the direction of the whisker. The sum is constant between contacts if stiffness and
+    curvature are. It does not change at contacts on the shaft without friction, whose force is perpendicular to it, and
+    vanishes at the outermost one. However many there are, the reaction is therefore one that a single contact causes.
+    """
+    return section is None or not (callable(section.bending_stiffness) or callable(section.intrinsic_curvature))
 
 
 def each_whisker(section: Any, function: Callable, *args):

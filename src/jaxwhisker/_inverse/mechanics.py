@@ -5,7 +5,7 @@ and `space.py` hold the two mechanics. They have no state: programs take these c
 """
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from jaxwhisker._inverse.observations import Observations
 from jaxwhisker._inverse.points import AbstractReconstruction
 from jaxwhisker._model.scene import Units
+from jaxwhisker._scan.blocks import BLOCK
 
 # Trees that only the mechanics look into: whiskers with their support and drive, and the placement of the drive.
 AnySensor: TypeAlias = Any
@@ -62,6 +63,9 @@ class Judgement(NamedTuple):
     free: Any  # chi-squared of signals below which there may be no contact
     handicap: Any  # of a phase with a parameter more: see Observation
     known: Any  # 1, or NaN if errors are unknown
+    # Chi-squared with one and with three degrees of freedom, above which contacts do not explain signals; None if
+    # whiskers have one contact at most.
+    explained: Any = None
 
 
 class StepSignals(NamedTuple):
@@ -78,14 +82,18 @@ class StepSignals(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """The contacts of all whiskers at one step in the scene, dimensionless; every array (whiskers, ...)."""
+    """The contacts of all whiskers at one step in the scene, dimensionless; every array (whiskers, ...).
+
+    Fields of contacts have an axis more, (whiskers, contacts), if a whisker may have several.
+    """
 
     contact: dict[str, Array]  # fields of the result that are known where there is a contact
     base: dict[str, Array]  # those that are known where no signal is missing
-    tip: Bool[Any, " whiskers"]
+    tip: Bool[Any, "whiskers *contacts"]
     ok: Bool[Array, " whiskers"]  # whether there is a contact and its state is solved
     chi2: Float[Array, " whiskers"]
-    covariance: Float[Array, "whiskers numbers numbers"]  # of `InverseMechanics.numbers`
+    covariance: Float[Array, "whiskers *contacts numbers numbers"]  # of `InverseMechanics.numbers`
+    used: Bool[Array, "whiskers contacts"] | None = None  # places of contacts; None: one, which is used
 
 
 @runtime_checkable
@@ -118,21 +126,25 @@ class AnyInstrument(Protocol):
 
 
 class InverseMechanics(abc.ABC):
-    """Whiskers in the plane, or in space. All methods are static."""
+    """Whiskers in the plane, or in space. There are no instances."""
 
     result: ClassVar[type[AbstractReconstruction]]
     numbers: ClassVar[tuple[str, ...]]  # the fields of the result whose covariance is estimated
     correlated: ClassVar[bool]  # whether the noise of channels may be correlated
     shared: ClassVar[bool]  # whether one program locates the contacts of all sensors
+    several: ClassVar[bool] = False  # whether whiskers may have several contacts
+    block: ClassVar[int] = BLOCK  # recordings are padded to multiples of it, so that similar ones share a program
 
     @staticmethod
     @abc.abstractmethod
     def sensor(made: Any) -> AnySensor:
         """The sensor of a scene. A ValueError says which scenes have none."""
 
-    @staticmethod
+    @classmethod
     @abc.abstractmethod
-    def read(measured: Any, sigma: Any, sensor: AnySensor, base: Any, slip: Any) -> tuple[tuple[str, ...], Readings]:
+    def read(
+        cls, measured: Any, sigma: Any, sensor: AnySensor, base: Any, slip: Any
+    ) -> tuple[tuple[str, ...], Readings]:
         """Names of the channels, and the readings. A ValueError says why they do not determine the contacts."""
 
     @staticmethod
@@ -146,6 +158,11 @@ class InverseMechanics(abc.ABC):
         sensor: AnySensor, unit: Units, kinds: tuple[str, ...], readings: Readings
     ) -> tuple[AnyInstrument, AnyDrive, Array | None, Array | None]:
         """The sensor, and placements of its drive, poses of bases and leans of contact forces at all steps."""
+
+    @staticmethod
+    def batches(located: Callable, steps: Any) -> Any:
+        """A function of a batch of steps, for all steps."""
+        return located(*steps)
 
 
 def whitened(weight: Array, values: Float[Array, "whiskers channels"]) -> Float[Array, "whiskers channels"]:

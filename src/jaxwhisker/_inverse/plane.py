@@ -33,8 +33,8 @@ class InversePlane(InverseMechanics):
     def sensor(made):
         return sensor_of(made)
 
-    @staticmethod
-    def read(measured, sigma, sensor, base, slip):
+    @classmethod
+    def read(cls, measured, sigma, sensor, base, slip):
         if sensor.support.on_shafts:
             _check_held(sensor, base)
         whiskers = len(sensor.whiskers)
@@ -44,7 +44,8 @@ class InversePlane(InverseMechanics):
                 raise ValueError(f"`measured` must be {allowed}.")
             readings = Readings.traced(measured, sigma, REACTIONS, whiskers)
         else:
-            check_one_contact("measured", measured)
+            if not cls.several:
+                check_one_contact("measured", measured)
             observed = read_observations(measured, sigma, whiskers=whiskers)
             _check_complete(observed, coupled=base is None and any(0 not in s.between for s in sensor.support.springs))
             observed = with_scatter(observed) if sigma is None else observed
@@ -69,14 +70,15 @@ class InversePlane(InverseMechanics):
         return known, drive, None if poses is None else poses / lengths, leans
 
 
-def sensor_of(sensor: Any) -> Sensor:
+def sensor_of(sensor: Any, *, several: bool = False) -> Sensor:
     """The sensor, or that of a scene.
 
     Raises:
-        ValueError: if it is neither, or its whiskers may have several contacts.
+        ValueError: if it is neither, or its whiskers may have several contacts, unless this is expected.
     """
     if isinstance(sensor, Scene):
-        check_one_contact("sensor", sensor)
+        if not several:
+            check_one_contact("sensor", sensor)
         return Sensor.of(sensor)
     checks.instance("sensor", sensor, Sensor, "a Sensor, a Scene or a function that returns one")
     return sensor

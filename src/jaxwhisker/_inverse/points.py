@@ -26,6 +26,7 @@ class PointStatus(NamedInt):
     free = 1  # its signals are compatible with no contact
     failed = 2  # no state of the whisker was found near its signals
     missing = 3  # a signal is NaN: its own, or one that the position of its base depends on
+    ambiguous = 4  # one contact does not explain its signals, and they do not determine several
 
 
 class VertexEstimates(NamedTuple):
@@ -58,21 +59,21 @@ class AbstractReconstruction(eqx.Module):
 
     control: Float[Array, " steps"]
     length: Float[Array, ""]  # of the first whisker
-    x: Float[Array, "steps whiskers"]  # contact: a point of the object
-    y: Float[Array, "steps whiskers"]
-    arc: Float[Array, "steps whiskers"]  # arc length from base to contact
-    phase: Int[Array, "steps whiskers"]  # Phase.free, .tip, .tangential (on the shaft)
+    x: Float[Array, "steps whiskers *contacts"]  # contact: a point of the object
+    y: Float[Array, "steps whiskers *contacts"]
+    arc: Float[Array, "steps whiskers *contacts"]  # arc length from base to contact
+    phase: Int[Array, "steps whiskers *contacts"]  # Phase.free, .tip, .tangential (on the shaft)
     base_x: Float[Array, "steps whiskers"]
     base_y: Float[Array, "steps whiskers"]
     chi2: Float[Array, "steps whiskers"]  # chi-squared of the nearest state
     significance: Float[Array, "steps whiskers"]  # of the signals, in standard deviations of their noise
     status: Int[Array, "steps whiskers"]  # PointStatus
-    covariance: eqx.AbstractVar[Float[Array, "steps whiskers numbers numbers"]]
+    covariance: eqx.AbstractVar[Float[Array, "steps whiskers *contacts numbers numbers"]]
     _across: eqx.AbstractClassVar[str]  # the direction of `normal_error`, in words
 
     @property
     @abc.abstractmethod
-    def _normal(self) -> Float[Array, "steps whiskers axes"]:
+    def _normal(self) -> Float[Array, "steps whiskers *contacts axes"]:
         """Unit vectors in the direction of `normal_error`."""
 
     @abc.abstractmethod
@@ -81,13 +82,13 @@ class AbstractReconstruction(eqx.Module):
 
     @property
     @in_double
-    def standard_error(self) -> Float[Array, "steps whiskers numbers"]:
+    def standard_error(self) -> Float[Array, "steps whiskers *contacts numbers"]:
         """Standard errors of x, y, slope and arc; in space, of x, y, z, arc, force_x, force_y and force_z."""
         return jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
 
     @property
     @in_double
-    def normal_error(self) -> Float[Array, "steps whiskers"]:
+    def normal_error(self) -> Float[Array, "steps whiskers *contacts"]:
         """Standard error of the position across the contour, in space along the contact force; a length."""
         normal = self._normal
         axes = normal.shape[-1]
@@ -117,6 +118,8 @@ class Reconstruction(AbstractReconstruction):
 
     Fields are NaN, and `phase` is Phase.free, where the status is not ok; the pose of the base and the significance are
     also known for whiskers whose signals are not missing. `chi2` has one degree of freedom.
+
+    The result with known objects is a `ContactsReconstruction`.
     """
 
     slope: Float[Array, "steps whiskers"]  # alpha of the object at the contact, rad
@@ -210,6 +213,56 @@ class Reconstruction(AbstractReconstruction):
             x, y = (_with_error(*pair) for pair in ((vertex.x[k], vertex.x_error[k]), (vertex.y[k], vertex.y_error[k])))
             lines.append(f"whisker {k + 1}: vertex at x = {x}, y = {y}")
         return [*lines, *([str(self.consistency())] * (self.x.shape[1] > 1))]
+
+
+class ContactsReconstruction(AbstractReconstruction):
+    """Contacts of whiskers that touch known objects, at most one of them with something else, in the sensor's units.
+
+    Fields of contacts, from the tip to the base, are NaN, and `phase` is Phase.free, in places that are not used and
+    where the status is not ok. `chi2` has three degrees of freedom if all contacts are with known objects, otherwise
+    one. Contacts with known objects follow from the pose of the base: where there is no other contact, noise does not
+    change them, and their errors are those of the parameters only.
+    """
+
+    x: Float[Array, "steps whiskers contacts"]
+    y: Float[Array, "steps whiskers contacts"]
+    arc: Float[Array, "steps whiskers contacts"]
+    phase: Int[Array, "steps whiskers contacts"]
+    slope: Float[Array, "steps whiskers contacts"]  # alpha of the object at the contact, rad
+    force: Float[Array, "steps whiskers contacts"]  # f >= 0
+    object: Int[Array, "steps whiskers contacts"]  # number of the known object, from 1; 0: something else, or unused
+    base_angle: Float[Array, "steps whiskers"]  # of the whisker there to the upright, rad, counter-clockwise
+    covariance: Float[Array, "steps whiskers contacts 4 4"]  # of x, y, slope and arc
+    _across = "across the contours"
+
+    @property
+    def _normal(self):
+        return jnp.stack([jnp.sin(self.slope), -jnp.cos(self.slope)], axis=-1)
+
+    @in_double
+    def unknown(self) -> Reconstruction:
+        """The contacts with something unknown, such as `fit_profile` takes; whiskers without one are `free`."""
+        here = (self.phase != Phase.free) & (self.object == 0)
+        some, at = jnp.any(here, axis=-1), jnp.argmax(here, axis=-1)
+
+        def of(values: Array, otherwise: Any = jnp.nan) -> Array:
+            index = jnp.expand_dims(at, tuple(range(2, values.ndim)))
+            own = jnp.take_along_axis(values, index, axis=2)[:, :, 0]
+            return jnp.where(jnp.expand_dims(some, tuple(range(2, own.ndim))), own, otherwise)
+
+        kept = "control", "length", "base_x", "base_y", "base_angle", "chi2", "significance"
+        own = "x", "y", "arc", "slope", "force", "covariance"
+        fields: dict[str, Any] = {name: getattr(self, name) for name in kept}
+        fields |= {name: of(getattr(self, name)) for name in own} | {"phase": of(self.phase, Phase.free)}
+        status = jnp.where((self.status == PointStatus.ok) & ~some, PointStatus.free, self.status)
+        return Reconstruction(**fields, status=status)
+
+    def _findings(self):
+        number = np.sum(np.asarray(self.phase) != Phase.free, axis=-1)
+        counted = [f"{np.sum(number == k)} of {k}" for k in range(1, number.max(initial=0) + 1)]
+        elsewhere = np.any((np.asarray(self.phase) != Phase.free) & (np.asarray(self.object) == 0), axis=-1)
+        lines = [f"numbers of contacts: {', '.join(counted)}"] if counted else []
+        return [*lines, *([f"with something unknown: {elsewhere.sum()}"] if elsewhere.any() else [])]
 
 
 class SpaceReconstruction(AbstractReconstruction):

@@ -26,6 +26,7 @@ from jaxwhisker._inverse.mechanics import (
     AnyDrive,
     AnyInstrument,
     AnySensor,
+    Contacts,
     InverseMechanics,
     Judgement,
     Readings,
@@ -35,7 +36,8 @@ from jaxwhisker._inverse.mechanics import (
 )
 from jaxwhisker._inverse.parameters import check_traceable, read_parameters
 from jaxwhisker._inverse.plane import InversePlane
-from jaxwhisker._inverse.points import PointStatus, Reconstruction, SpaceReconstruction
+from jaxwhisker._inverse.points import ContactsReconstruction, PointStatus, Reconstruction, SpaceReconstruction
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, Sensor, Units, units_of
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from jaxwhisker._model.space_scene import SpaceScene
 
 InPlane: TypeAlias = Sensor | Scene | Callable[..., Sensor | Scene]
+Known: TypeAlias = AbstractProfile | tuple[AbstractProfile, ...] | Callable[..., Any]
 Names: TypeAlias = Mapping[str, Any] | None
 Points: TypeAlias = dict[str, Array]  # fields of the result
 # Fields of a result by their unit; others are numbers.
@@ -52,6 +55,10 @@ FREE = {3: 16.266, 5: 20.515, 6: 22.458}
 # The same with the peaks in place of the noise, if the noise is unknown. Without contact, reactions vanish, or differ
 # from those that springs on shafts cause by rounding: by 2e-12 of the peak for a pointed cone, and less for others.
 EXACTLY_FREE = 1e-18
+# 99.9 % quantiles of chi-squared with one and three degrees of freedom: larger values are not only noise.
+EXPLAINED = (10.828, 16.266)
+# The same for exact signals, with the peaks in place of the noise: a millionth of the peak, for tables of seven digits.
+EXACTLY_EXPLAINED = (1e-12, 1e-12)
 # By how much chi-squared has to be smaller in a phase that has a parameter more (Akaike), with and without noise:
 # signals of scans determine the arc to 1e-8.
 HANDICAP, EXACT_HANDICAP = 2.0, 1e-14
@@ -67,7 +74,22 @@ def reconstruct(
     covariance: Any = None,
     base: tuple[Any, Any, Any] | None = None,
     slip: Any = None,
+    contacts: int | None = None,
+    objects: None = None,
 ) -> Reconstruction: ...
+@overload
+def reconstruct(
+    measured: Any,
+    sensor: InPlane,
+    *,
+    sigma: Any = None,
+    parameters: Names = None,
+    covariance: Any = None,
+    base: tuple[Any, Any, Any] | None = None,
+    slip: Any = None,
+    contacts: int | None = None,
+    objects: Known,
+) -> ContactsReconstruction: ...
 @overload
 def reconstruct(
     measured: Any,
@@ -87,6 +109,8 @@ def reconstruct(
     covariance: Any = None,
     base: tuple[Any, Any, Any] | None = None,
     slip: Any = None,
+    contacts: int | None = None,
+    objects: Known | None = None,
 ) -> Any:
     """Locate the contact of every whisker at every step, with its uncertainty.
 
@@ -111,42 +135,49 @@ def reconstruct(
         slip: with friction, the direction in which contacts slip along the object: +1 towards +x, -1 towards -x, and
             values between them where contacts stick, for the share of the friction that acts; (steps,) or (steps,
             whiskers). Default: contacts slip with the drive, which is wrong while they stick after a reversal.
+        contacts: largest number of contacts of one whisker. With more than 1, a state that one contact does not explain
+            is `ambiguous`, and so is a contact on the shaft of a whisker whose stiffness and curvature are constant:
+            one contact there has the same reactions as several. With `objects`: 2. Default: that of the Scene, or 1.
+        objects: known objects that whiskers may touch, apart from something unknown that each may touch once: a
+            profile, a tuple of profiles, or, if `sensor` is a function, a function of the same parameters that returns
+            these. They are smooth.
 
     Returns:
-        A Reconstruction, in space a SpaceReconstruction; NaN where a whisker is `free`, where signals are `missing`, or
-        where no state fits (`failed`). Errors are of first order in the noise of all reactions at a step, and in the
-        errors of the sensor's parameters if `covariance` is given. Where both phases are possible, the difference
-        between them is added. Errors are NaN if neither the noise nor that covariance is known.
+        A Reconstruction, with `objects` a ContactsReconstruction, in space a SpaceReconstruction; NaN where a whisker
+        is `free`, where signals are `missing`, where no state fits (`failed`), or where several contacts are possible
+        and signals do not decide between them (`ambiguous`). Errors are of first order in the noise of all reactions at
+        a step, and in the errors of the sensor's parameters if `covariance` is given. Where both phases are possible,
+        the difference between them is added. Errors are NaN if neither the noise nor that covariance is known.
 
     Raises:
         ValueError: if an argument is wrong, JAX cannot trace the function, or signals are missing or negated; if
-            springs hold shafts, also if springs connect whiskers, or if only springs above a base hold it and `base` is
-            not given. In space: if the channels do not determine a contact, torsion springs connect whiskers, or
-            `base` or `slip` is given.
+            springs hold shafts, also if springs connect whiskers, if only springs above a base hold it and `base` is
+            not given, or if there may be several contacts; if there is friction and `objects` are given. In space: if
+            the channels do not determine a contact, torsion springs connect whiskers, or `base`, `slip`, `contacts` or
+            `objects` is given.
     """
     checks.float64_mode()
     is_function = callable(sensor) and not isinstance(sensor, (Sensor, Scene))
     if (parameters is None) == is_function:
         raise ValueError(f"`parameters` must be given if `sensor` is a function, and only then, got {parameters}.")
-    made: Any = sensor
     names, values = (), jnp.zeros(0)
     if parameters is not None:
         parameters = read_parameters("parameters", parameters)
         names, values = tuple(parameters), jnp.stack([jnp.asarray(v, dtype=float) for v in parameters.values()])
         checks.arguments("parameters", sensor, names, called="sensor")
-        made = made(**dict(zip(names, values, strict=True)))
+    build: Any = sensor if objects is None else _before(sensor, objects, contacts)
+    made: Any = build(**dict(zip(names, values, strict=True))) if names or objects is not None else sensor
     if covariance is not None and np.shape(covariance) != (values.size,) * 2:
         allowed = f"of the {values.size} parameters, ({values.size}, {values.size})"
         checks.fail("covariance", allowed, f"shape {np.shape(covariance)}")
-    mechanics = _mechanics_of(made)
+    mechanics = _mechanics_of(made, contacts, before=objects is not None)
     known = mechanics.sensor(made)
     if covariance is not None and parameters is not None and not checks.is_traced(values):
-        check_traceable(sensor, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
+        check_traceable(build, parameters, called="sensor")  # pyright: ignore[reportArgumentType]
     kinds, readings = mechanics.read(measured, sigma, known, base, slip)
     readings = jax.tree.map(jnp.asarray, readings.with_roots() if mechanics.correlated else readings)
     control = readings.control
-    # Recordings of similar length share a compilation.
-    padding = -control.size % BLOCK
+    padding = -control.size % mechanics.block  # recordings of similar length share a compilation
     readings = jax.tree.map(
         lambda array: jnp.pad(array, [(0, padding)] + [(0, 0)] * (array.ndim - 1), mode="edge"), readings
     )
@@ -155,17 +186,32 @@ def reconstruct(
     else:
         widened = _contacts_of_parameters if mechanics.shared else _contacts_of_parameters_now
         covariance = jnp.asarray(covariance, dtype=float)
-        points = widened(mechanics, sensor, names, values, covariance, kinds, readings)
+        points = widened(mechanics, build, names, values, covariance, kinds, readings)
     points = jax.tree.map(lambda leaf: leaf[: control.size], points)
     return mechanics.result(control, jnp.asarray(known.whiskers[0].length, dtype=float), **points)
 
 
-def _mechanics_of(made: Any) -> type[InverseMechanics]:
-    if not getattr(made, "in_space", False):
-        return InversePlane
-    from jaxwhisker._inverse.space import InverseSpace
+def _before(sensor: Any, objects: Any, contacts: int | None) -> Callable[..., Scene]:
+    from jaxwhisker._inverse.several import BeforeObjects
 
-    return InverseSpace
+    return BeforeObjects(sensor, objects, contacts)
+
+
+def _mechanics_of(made: Any, contacts: int | None, *, before: bool) -> type[InverseMechanics]:
+    """What a reconstruction asks of these whiskers, with so many contacts each; `before` known objects or not."""
+    if contacts is not None:
+        checks.count("contacts", contacts)
+    if getattr(made, "in_space", False):
+        if contacts is not None and contacts > 1:
+            checks.fail("contacts", "1 in space", f"{contacts}")
+        from jaxwhisker._inverse.space import InverseSpace
+
+        return InverseSpace
+    if (getattr(made, "contacts", 1) if contacts is None else contacts) == 1:
+        return InversePlane
+    from jaxwhisker._inverse.several import InverseBeforeObjects, InverseSeveral
+
+    return InverseBeforeObjects if before else InverseSeveral
 
 
 class _Prepared(NamedTuple):
@@ -177,11 +223,12 @@ class _Prepared(NamedTuple):
     steps: tuple[AnyDrive, Any, Any, Any, Any]
 
 
-def _judgement(readings: Readings, kinds: tuple[str, ...]) -> Judgement:
+def _judgement(mechanics: type[InverseMechanics], readings: Readings, kinds: tuple[str, ...]) -> Judgement:
     """How these signals are judged."""
+    several = mechanics.several
     if readings.noise is None:
-        return Judgement(EXACTLY_FREE, EXACT_HANDICAP, np.nan)
-    return Judgement(FREE[len(kinds)], HANDICAP, 1.0)
+        return Judgement(EXACTLY_FREE, EXACT_HANDICAP, np.nan, EXACTLY_EXPLAINED if several else None)
+    return Judgement(FREE[len(kinds)], HANDICAP, 1.0, EXPLAINED if several else None)
 
 
 def _contacts(
@@ -190,7 +237,9 @@ def _contacts(
     """Contacts at all steps, in the sensor's units."""
     parts = mechanics.parts(sensor)
     if len(parts) == 1:
-        return _located(mechanics, _prepared(mechanics, sensor, kinds, readings), _judgement(readings, kinds))
+        return _located(
+            mechanics, _prepared(mechanics, sensor, kinds, readings), _judgement(mechanics, readings, kinds)
+        )
     each = []
     for k, part in enumerate(parts):
         of_part = jax.tree.map(lambda array, k=k: array if array.ndim == 1 else array[:, k : k + 1], readings)
@@ -218,7 +267,8 @@ def _prepared(
 def _located(mechanics: type[InverseMechanics], prepared: _Prepared, judgement: Judgement) -> Points:
     """Contacts at all steps, in the sensor's units."""
     known, unit, steps = prepared
-    return jax.vmap(lambda *at: _step(mechanics, known, unit, judgement, *at))(*steps)
+    located = jax.vmap(lambda *at: _step(mechanics, known, unit, judgement, *at))
+    return mechanics.batches(located, steps)
 
 
 _contacts_together, _prepared_now, _located_now = Program(_contacts), Program(_prepared), Program(_located)
@@ -232,7 +282,7 @@ def _contacts_now(
     if not mechanics.shared:
         return _contacts_together(mechanics, sensor, kinds, readings)
     prepared = _prepared_now(mechanics, sensor, kinds, readings)
-    judgement = jax.tree.map(np.asarray, _judgement(readings, kinds))
+    judgement = jax.tree.map(np.asarray, _judgement(mechanics, readings, kinds))
 
     def block(*steps):
         return _located_now(mechanics, prepared._replace(steps=steps), judgement)
@@ -265,16 +315,21 @@ def _step(
     signals, significance = _sorted_signals(known, judgement, drive, *at)
     found, present, if_known = known.contacts(drive, signals, judgement), ~signals.missing, judgement.known
     ok, sizes = found.ok, _sizes(unit, mechanics.numbers)
-    codes = [PointStatus.missing, PointStatus.free, PointStatus.failed]
+    codes = [PointStatus.missing, PointStatus.free, PointStatus.ambiguous if mechanics.several else PointStatus.failed]
     return {
         **_in_units(unit, ok, found.contact),
         **_in_units(unit, present, found.base),
-        "phase": jnp.where(ok, jnp.where(found.tip, Phase.tip, Phase.tangential), Phase.free),
+        "phase": _where(ok, _phases(found), Phase.free),
         "chi2": jnp.where(ok, found.chi2, jnp.nan) * if_known,
         "significance": jnp.where(present, jnp.sqrt(significance), jnp.nan) * if_known,
         "status": jnp.select([signals.missing, ~signals.touching, ~ok], codes, PointStatus.ok),
         "covariance": _where(ok, found.covariance * sizes[:, None] * sizes, jnp.nan) * if_known,
     }
+
+
+def _phases(found: Contacts) -> Array:
+    phases = jnp.where(found.tip, Phase.tip, Phase.tangential)
+    return phases if found.used is None else jnp.where(found.used, phases, Phase.free)
 
 
 def _sizes(unit: Units, names: Iterable[str]) -> Float[Array, " names"]:
@@ -284,9 +339,16 @@ def _sizes(unit: Units, names: Iterable[str]) -> Float[Array, " names"]:
 
 
 def _in_units(unit: Units, known: Bool[Array, " whiskers"], fields: Points) -> Points:
-    """Fields in the sensor's units, NaN where they are not known."""
-    vectors = {name: _where(known, value, jnp.nan) for name, value in fields.items() if value.ndim > 1}
+    """Fields in the sensor's units, NaN where they are not known, and 0 for integers."""
+    sizes = dict.fromkeys(LENGTHS, unit.length) | dict.fromkeys(FORCES, unit.force)
+    vectors = {}
+    for name, value in fields.items():
+        if value.ndim > 1:
+            value = value * sizes[name] if name in sizes else value
+            vectors[name] = _where(known, value, jnp.nan if jnp.issubdtype(value.dtype, float) else 0)
     names = [name for name in fields if name not in vectors]
+    if not names:
+        return vectors
     numbers = jnp.stack([fields[name] for name in names]) * _sizes(unit, names)[:, None]
     return vectors | dict(zip(names, jnp.where(known, numbers, jnp.nan), strict=True))
 

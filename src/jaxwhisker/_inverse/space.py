@@ -39,8 +39,8 @@ class InverseSpace(InverseMechanics):
     def sensor(made):
         return space_sensor(made)
 
-    @staticmethod
-    def read(measured, sigma, sensor, base, slip):
+    @classmethod
+    def read(cls, measured, sigma, sensor, base, slip):
         if base is not None:
             checks.fail("base", "None in space", "poses")
         if slip is not None:
