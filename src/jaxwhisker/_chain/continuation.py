@@ -8,8 +8,16 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free, has_passed, limits_of
 from jaxwhisker._chain.changes import changed_contacts
 from jaxwhisker._chain.contacts import held_of
-from jaxwhisker._chain.friction import changed_slips, come_to_rest, slip_rates, with_changed_slips
-from jaxwhisker._chain.landing import after_flow, flow_again, revised_landing, state_differs, to_snap, towards_loss
+from jaxwhisker._chain.friction import changed_slips, come_to_rest, is_wedged, slip_rates, with_changed_slips
+from jaxwhisker._chain.landing import (
+    after_flow,
+    flow_again,
+    loosened,
+    revised_landing,
+    state_differs,
+    to_snap,
+    towards_loss,
+)
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
@@ -333,8 +341,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def arrived(self, march: MarchOfChain, trial: TrialOfChain, node, falls):
         del falls
-        snapped, converged = march.target.number == SNAP, trial.converged
-        at_loss = march.point.u == march.flow.u
+        snapped, converged, at_loss = march.target.number == SNAP, trial.converged, march.point.u == march.flow.u
         onwards, shorter, closer = towards_loss(march, trial)
         revised, wrong = revised_landing(self.problem, march, trial)
         before = march.pending
@@ -342,28 +349,21 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             jnp.where(state_differs(march.state, before.before), jnp.inf, 0.0)
             + jnp.max(jnp.abs(trial.point.z - before.z_before) / scale_of(before.z_before))
         ) < SAME
-        stays = snapped & at_loss & same
-        again = march.flow.tries < TRIES
+        stays, again, wedged = snapped & at_loss & same, march.flow.tries < TRIES, is_wedged(self.problem, march.state)
         return Arrival(
             node,
             converged & trial.stance.opens & (~snapped | (at_loss & ~wrong & ~same)),
             [
                 (snapped & converged & wrong & again, revised),
+                (snapped & ~converged & wedged & again, loosened(self.problem, march)),
                 (snapped & ~converged & closer, shorter),
                 (snapped & (~converged | wrong) | stays, flow_again(march)),
                 (snapped & ~at_loss, onwards),
-                (~converged & self._is_wedged(march), march.stopped(Status.undetermined)),
+                (~converged & wedged, march.stopped(Status.undetermined)),
                 (~converged, march.stopped(Status.lost)),
                 (~trial.stance.opens, march.stopped(Status.not_convex)),
             ],
         )
-
-    def _is_wedged(self, march: MarchOfChain) -> Array:
-        """Whether two neighbouring contacts stick: the force along a straight part between them is not determined."""
-        if march.state.friction is None:
-            return jnp.asarray(False)
-        sticks = of_whiskers(self.problem, held_of(self.problem.profile, march.state).sticks)
-        return jnp.any(sticks[:, 1:] & sticks[:, :-1])
 
     def to_snap(self, march: MarchOfChain):
         return to_snap(march)

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
 from jaxwhisker._chain.march_state import AT_STOP, MarchOfChain, PerRow, TrialOfChain
+from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.friction import Friction, slipping_from
@@ -76,6 +77,14 @@ def lean_margin(problem: ChainProblem, state: ChainState, z: Contacts, lean: Per
 def is_light(problem: ChainProblem, state: ChainState, z: Contacts) -> Rows:
     """Whether contacts stick whose force is too small for its lean to be known."""
     return held_of(problem.profile, state).sticks & (z[:, FORCE] <= LIGHT)
+
+
+def is_wedged(problem: ChainProblem, state: ChainState) -> Bool[Array, ""]:
+    """Whether two neighbouring contacts stick: the force along a straight part between them is not determined."""
+    if state.friction is None:
+        return jnp.asarray(False)
+    sticks = of_whiskers(problem, held_of(problem.profile, state).sticks)
+    return jnp.any(sticks[:, 1:] & sticks[:, :-1])
 
 
 def lean_rates(problem: ChainProblem, state: ChainState, z_rate: Contacts) -> PerRow:

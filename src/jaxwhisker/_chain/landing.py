@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxwhisker._chain.changes import changed_contacts
-from jaxwhisker._chain.contacts import ChainState, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
 from jaxwhisker._chain.friction import keeps_places, slips_of, with_slips
 from jaxwhisker._chain.march_state import (
     HIGH,
@@ -144,6 +144,20 @@ def revised_landing(
     only_deep = jnp.any(deep) & ~jnp.any(pulls) & ~jnp.any(other) & ~jnp.any(astray)
     revised = select(only_deep & full, march.stopped(Status.too_many_contacts), revised)
     return revised, jnp.any(pulls) | jnp.any(other) | jnp.any(deep) | jnp.any(astray)
+
+
+def loosened(problem: ChainProblem, march: MarchOfChain) -> MarchOfChain:
+    """Contacts in which whiskers may rest instead of those that are wedged: the one whose force leans most slips."""
+    state, z = march.state, march.point.z
+    if state.friction is None:
+        return march
+    lean = jnp.asarray(numbers_of(problem.profile, problem.friction_angle, z, state).lean)
+    most = jnp.argmax(jnp.where(held_of(problem.profile, state).sticks, jnp.abs(lean), -1.0))
+    slip = state.friction.slip.at[most].set(jnp.where(lean[most] < 0, -1, 1))
+    z, state = with_slips(problem, z, state, slip)
+    flow_ = march.flow._replace(tries=march.flow.tries + 1)
+    pending = _snap(problem, march.pending, state)
+    return march.replace(point=march.point._replace(z=z), state=state, flow=flow_, pending=pending)
 
 
 def flow_again(march: MarchOfChain) -> MarchOfChain:
