@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from several import wavy
 from several_cases import CASES, contacts_of, scene_of
 
 SPEED, DAMPING = 0.05, 0.03
@@ -23,6 +22,7 @@ BALANCED = 1e-9  # of the ledger of energy
 # inside, and is pushed out.
 CREATED = {"two_circles": 4e-6, "groove": 4e-6, "box_curved": 1e-3}
 DIFFERENCES = 1e-5  # relative
+HEAVY = jw.Whisker(mass_per_length=1.0)
 
 
 def moving(scene, contacts=None):
@@ -121,20 +121,58 @@ def test_more_contacts_than_there_is_room_for_end_the_motion():
     assert np.all(motion.phase[first - 1, 0] > 0) and np.isnan(motion.mz[first:]).all()
 
 
-@pytest.mark.parametrize(
-    ("profile", "options", "message"),
-    [
-        (jw.Polygon([(-0.5, 0.5), (0.0, 0.8), (0.5, 0.5), (0.0, 1.4)]), {}, "`profile` must be without inner corners"),
-        (jw.Graph(wavy), {"start": "given"}, "`start` must be None for whiskers that may have several contacts"),
-    ],
-)
-def test_what_is_not_simulated_says_so(profile, options, message):
-    scene = jw.Scene(jw.Whisker(mass_per_length=1.0), profile, contacts=2)
-    with pytest.raises(ValueError, match=message):
-        jw.simulate(scene, 2.0, 1.0, **options)
+def into_a_notch(whisker, friction=None):
+    """A clamped whisker that rises into the inner corner of a notch."""
+    notch = jw.Polygon([(-0.6, 1.3), (-0.4, 0.8), (0.0, 1.0), (0.4, 0.8), (0.6, 1.3), (0.0, 1.6)])
+    rise = jw.Motion(lambda u: (0.1, u, 0.0), -0.1, 0.12)
+    return jw.Scene(whisker, notch, contacts=2, friction=friction, motion=rise)
 
 
-def test_friction_of_several_contacts_is_not_simulated():
-    scene = jw.Scene(jw.Whisker(mass_per_length=1.0), jw.Graph(wavy), contacts=2, friction=0.3)
-    with pytest.raises(ValueError, match="`scene` must be without friction for whiskers"):
-        jw.simulate(scene, 2.0, 1.0)
+@pytest.mark.parametrize("friction", [None, 0.3], ids=["smooth", "rough"])
+def test_a_tip_rests_in_an_inner_corner(friction):
+    control = np.linspace(-0.1, 0.12, 12)
+    motion = jw.simulate(into_a_notch(HEAVY, friction), control, 11.0, steps=2200, every=200, stiffness_damping=0.05)
+    assert np.all(motion.status == jw.Status.ok)
+    held = np.flatnonzero(control > 0.03)
+    assert np.all(motion.phase[held, 0] == 1)
+    np.testing.assert_allclose(motion.contact_x[held, 0], 0.0, atol=PLACES)
+    np.testing.assert_allclose(motion.contact_y[held, 0], 1.0, atol=PLACES)
+    result = jw.scan(into_a_notch(jw.Whisker(), friction), control)
+    for field in ("fx", "fy", "mz"):
+        ours, theirs = np.ravel(getattr(motion, field)), np.ravel(getattr(result, field))
+        assert np.abs(ours - theirs)[held].max() < SIGNALS * np.abs(theirs).max(), field
+    if friction is None:  # with friction, a scan shows one contact
+        sizes = np.abs(np.asarray(result.contact_force)[held]).max()
+        np.testing.assert_allclose(motion.contact_force[held], result.contact_force[held], atol=SIGNALS * sizes)
+    else:
+        assert np.all(motion.slip[held] == 0) and np.all(motion.friction_force[held] == 0)
+
+
+def test_whiskers_start_from_a_state_with_several_contacts():
+    objects = jw.Circle(0.5, 0.2), jw.Circle(0.25, 0.12, position=-0.55)
+
+    def scene(distance=0.25):
+        return jw.Scene(HEAVY, (objects[0], jw.Circle(distance, 0.12, position=-0.55)), contacts=2)
+
+    result = jw.scan(scene(), np.array([0.3, -0.3, -0.66]))
+    assert np.all(result.phase[-1] > 0)
+
+    def rests(scene):
+        options = {"steps": 400, "every": 40, "stiffness_damping": 0.1, "shapes": 20, "start": result}
+        return jw.simulate(scene, -0.66, 0.8, **options)
+
+    motion = rests(scene())
+    assert np.all(motion.status == jw.Status.ok) and np.all(motion.phase == result.phase[-1])
+    np.testing.assert_allclose(motion.contact_arc[0], result.contact_arc[-1], atol=PLACES)
+    for field in ("fx", "fy", "mz"):
+        theirs = getattr(result, field)
+        np.testing.assert_allclose(getattr(motion, field)[5:], theirs[-1:], atol=SIGNALS / 2 * np.abs(theirs).max())
+    stored = jw.stored_energy(result).bending[-1, 0]
+    np.testing.assert_allclose(motion.energy.total[0], stored, rtol=SIGNALS / 10)
+    free = jw.simulate(jw.Sensor(HEAVY), -0.66, 0.2, steps=200, every=20, start=result)
+    np.testing.assert_allclose(free.energy.total, stored, rtol=SIGNALS / 10)  # all of it becomes motion
+    with pytest.raises(ValueError, match=r"`start` must be a state of these whiskers .*, got one that is off by"):
+        rests(scene(0.3))
+    alone = jw.scan(jw.Scene(HEAVY, objects[0]), np.array([0.3, -0.3]))
+    with pytest.raises(ValueError, match="`start` must be a state with contacts=2, got one with contacts=1"):
+        jw.simulate(scene(), -0.3, 0.8, start=alone, steps=400)

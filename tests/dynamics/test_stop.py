@@ -3,14 +3,17 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.stop import balanced, pushes
+from jaxwhisker._dynamics.stop import SOFT, balanced, balanced_together
 from scenes import model
 
 MU, H = 0.3, 0.01
 ROUNDING = 1e-9  # relative; velocities and impulses are of order 1
 BALANCED = 1e-9  # of the ledger of energy
+UNSETTLED = 1e-3  # share of random contacts whose modes go round in circles, and which therefore stop
+SOFTENED = 1e-6  # of impulses of order 1: a hundred times SOFT over the smallest ease, 0.1
 
 
 class Drawn:
@@ -65,17 +68,71 @@ def test_friction_stays_within_its_cone_where_slips_end():
     np.testing.assert_allclose(e.total, ledger, atol=BALANCED * float(e.work.max()))
 
 
+class DrawnTogether:
+    """Whiskers with several contacts, some of which touch, with random velocities, inertia and impulses so far."""
+
+    def __init__(self, n, count, parts, seed):
+        rng = np.random.default_rng(seed)
+        root = rng.normal(size=(n, parts * count, parts * count))
+        self.ease = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(parts * count)
+        self.rates = np.concatenate([size * rng.normal(size=(n, count)) for size in (0.3, 1.0)[-parts:]], axis=1)
+        self.touches, self.slip = rng.uniform(size=(n, count)) < 0.8, rng.integers(-1, 2, (n, count))
+        pressed = rng.uniform(0, 0.5, (n, count))
+        drag = np.where(self.slip == 0, rng.uniform(-1, 1, (n, count)), -self.slip) * MU * pressed
+        self.so_far = np.concatenate([pressed, drag][:parts], axis=1)
+
+    def impulses(self, friction):
+        """The impulses, the velocities after them, and the impulses of the whole step."""
+        own = self.touches, self.slip == 0, self.slip, self.so_far, self.rates, self.ease
+        given = np.asarray(jax.jit(jax.vmap(lambda *own: balanced_together(friction, *own)))(*own))
+        return given, self.rates + np.einsum("nij,nj->ni", self.ease, given), self.so_far + given
+
+
 def test_contacts_stop_together_and_none_pulls():
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(500, 3, 3))
-    ease = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
-    rates, so_far, touches = rng.normal(size=(500, 3)), rng.uniform(0, 0.5, (500, 3)), rng.uniform(size=(500, 3)) < 0.8
-    given = np.asarray(jax.jit(jax.vmap(pushes))(touches, so_far, rates, ease))
-    left = rates + np.einsum("nij,nj->ni", ease, given)
+    drawn = DrawnTogether(500, 3, 1, seed=1)
+    given, left, total = drawn.impulses(None)
+    touches, rates, ease = drawn.touches, drawn.rates, drawn.ease
     assert np.all(given[~touches] == 0)
-    assert np.all(so_far + given >= -ROUNDING, where=touches)
+    assert np.all(total >= -ROUNDING, where=touches)
     stopped = np.abs(left) < ROUNDING
     assert np.all(stopped | (given == 0))
     assert np.sum(stopped.sum(axis=1) == 3) > 50 and np.sum(touches & (given == 0)) > 50  # both occur
     spent = np.einsum("ni,ni->n", given, rates) + np.einsum("ni,nij,nj->n", given, ease, given) / 2
     assert spent.max() < ROUNDING  # the kinetic energy does not grow
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_each_of_several_contacts_obeys_the_law_of_friction(count):
+    drawn = DrawnTogether(2000, count, 2, seed=count)
+    given, left, total = drawn.impulses(jnp.asarray(MU))
+    acts, (pressed, drag) = given[:, :count] != 0, np.split(total, 2, axis=1)
+    assert np.all(drawn.touches, where=acts) and np.all(pressed > -ROUNDING, where=acts)
+    # Of the resistance that keeps impulses finite, this is left.
+    slow = 2 * SOFT * np.trace(drawn.ease, axis1=1, axis2=2)[:, None] * (1 + np.abs(given[:, count:]))
+    stops, rubs = np.abs(left[:, count:]) < slow, np.abs(np.abs(drag) - MU * pressed) < ROUNDING * (1 + pressed)
+    assert np.all(np.abs(left[:, :count]) < ROUNDING, where=acts)  # along the normal, every contact stops
+    assert np.all(stops | rubs, where=acts)
+    into, across = (np.diagonal(drawn.ease, k, 1, 2)[:, :count] for k in (0, count))
+    lawful = acts & (into > MU * np.abs(across))  # not Painleve's paradox
+    outside = lawful & (np.abs(drag) > MU * pressed * (1 + ROUNDING) + ROUNDING)
+    assert np.mean(outside) < UNSETTLED and np.all(stops[outside])
+    assert np.all(drag * left[:, count:] <= slow, where=lawful)  # what slides on, slides against friction
+    assert min(np.sum(stops & lawful & ~rubs), np.sum(~stops & lawful)) > 300  # both occur
+
+
+def test_a_contact_alone_stops_as_in_scenes_with_one_contact():
+    drawn = DrawnTogether(2000, 1, 2, seed=3)
+    given, _, _ = drawn.impulses(jnp.asarray(MU))
+    own = drawn.slip[:, 0], drawn.so_far, drawn.rates, drawn.ease
+    expected = jax.vmap(lambda *own: balanced(jnp.asarray(MU), *own))(*own)
+    acts = given[:, 0] != 0
+    assert np.sum(acts) > 500
+    np.testing.assert_allclose(given[acts], np.asarray(expected)[acts], atol=SOFTENED)
+
+
+def test_two_contacts_that_only_move_together_stop_together():
+    ease = jnp.eye(4).at[2:, 2:].set(1.0)  # on a straight stretch, impulses along it act alike
+    rates, so_far = jnp.array([-1.0, -1.0, 0.2, 0.2]), jnp.zeros(4)
+    touches, slip = jnp.array([True, True]), jnp.array([0, 0])
+    given = balanced_together(jnp.asarray(MU), touches, slip == 0, slip, so_far, rates, ease)
+    np.testing.assert_allclose(given, [1.0, 1.0, -0.1, -0.1], atol=SOFTENED)

@@ -151,7 +151,8 @@ def _iterate(step: TimeStep, guess: Array) -> tuple[Array, ContactMode, Bool[Arr
         _, _, size, k = carry
         return ~jnp.all(size <= CLOSE) & ~jnp.any(jnp.isnan(size)) & (k < MOST_ITERATIONS)
 
-    start = guess, ContactMode(none > 0, none, Imposed(none > 0, none > 0)), jnp.full(none.shape[:1], jnp.inf), 0
+    mode = ContactMode(none > 0, none, Imposed(none > 0, none > 0), none > 0 if system.may_wedge else None)
+    start = guess, mode, jnp.full(none.shape[:1], jnp.inf), 0
     flat, mode, size, _ = jax.lax.while_loop(goes_on, improve, start)
     return flat, mode, jnp.all(size <= CLOSE)
 

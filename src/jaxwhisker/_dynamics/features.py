@@ -2,10 +2,15 @@
 
 With one contact, an outline is one curve that turns at its corners, and the closest point runs along it. Where a
 whisker touches a polygon twice, a corner and the face beside it may both be near, and each has a minimum of its own.
+
+At a corner, the object is where it is behind both faces; at an inner corner, it is where it is behind one of them. The
+outline therefore consists of convex stretches, which inner corners separate. The tip meets the outermost face of each
+stretch, and in an inner corner it touches one of each.
 """
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Int
 
 from jaxwhisker._base.types import Scalar
@@ -85,6 +90,14 @@ def _at_polygon(posed: Posed, one: PolygonChain, piece: Int[Array, ""], arc: Sca
     )
 
 
+def stretches_of(profile: ObjectChain) -> Int[Array, " pieces"]:
+    """The number of the convex stretch of all outlines that each piece belongs to."""
+    begins = corner_signs(profile) < 0
+    for first in profile.first_pieces():
+        begins = begins.at[first].set(True)
+    return jnp.cumsum(begins)
+
+
 def slips_off(profile: ObjectChain, piece: Array, arc: Array, parameter: Array) -> Array:
     """Whether contacts have passed an end of what they touch: the tip that of a face, or a corner the tip."""
     low, high = ends_of(profile, piece)
@@ -99,22 +112,31 @@ def next_piece(profile: ObjectChain, piece: Array, parameter: Array) -> Array:
 
 
 def ends_of(profile: ObjectChain, piece: Array) -> tuple[Array, Array]:
-    """Parameters of the outline at which pieces begin and end."""
+    """Parameters of the outline at which pieces begin and end; faces have no end at inner corners."""
     number = profile.object_of(piece)
     assert number is not None
     shift = jnp.stack([jnp.asarray(shift) for shift in profile.shift])[number]
     low, high = profile.ends_on(piece)
-    return low + shift, high + shift
+    inner = jnp.pad(corner_signs(profile) < 0, 1)
+    low, high = low + shift, high + shift
+    return jnp.where(inner[piece], -jnp.inf, low), jnp.where(inner[piece + 2], jnp.inf, high)
+
+
+def wedged(profile: ObjectChain, piece: Array, arc: Array, presses: Array) -> Array:
+    """Whether contacts hold the tip in an inner corner, two of them at once: then nothing is left for friction."""
+    holds, stretch = presses & (arc > 1 - AT_TIP), stretches_of(profile)[piece]
+    return holds & jnp.any(holds & (stretch != stretch[:, None]), axis=1)
 
 
 def with_tips_at_faces(profile: ObjectChain, candidates: Candidate, shaft: WholeShaft) -> Candidate:
     """The candidates with others for the tip at polygons.
 
     In motion, a tip that has just slipped off a corner may be inside, closer to the face that it has left than to that
-    on which it lands. It meets the outermost one of the faces into which it points.
+    on which it lands. Of each convex stretch, it meets the outermost one of the faces into which it points.
     """
     x, y, cos, sin = shaft.x[0, 0], shaft.y[0, 0], shaft.cos[0, 0], shaft.sin[0, 0]
-    at_tip = (shaft.starts[1] >= 0) & (shaft.beyond[1, 0] <= 0)
+    stretches, at_tip = stretches_of(profile), (shaft.starts >= 0) & (shaft.beyond[:, 0] <= 0)
+    touched = jnp.where(at_tip, stretches[shaft.starts], 0)
     is_smooth = ~jnp.stack([jnp.asarray(isinstance(one, PolygonChain)) for one in profile.each])
     number = profile.object_of(candidates.piece)
     assert number is not None
@@ -124,19 +146,22 @@ def with_tips_at_faces(profile: ObjectChain, candidates: Candidate, shaft: Whole
         if not isinstance(one, PolygonChain):
             continue
         faces = faces_of(one)
+        # As many faces as corners; the last one is the top, and no piece.
+        own = jnp.minimum(2 * np.arange(faces.x.size) + 1, one.start.size - 1)
         right, up = x - faces.x, y - faces.y
         distance, along = right * faces.sin - up * faces.cos, right * faces.cos + up * faces.sin
-        into = sin * faces.cos - cos * faces.sin
-        meets = faces.touchable & (into > 0) & (along > 0) & (along < faces.length) & ~at_tip
-        k = jnp.argmax(jnp.where(meets, distance, -jnp.inf))
-        # As many faces as corners; the last one is the top, and no piece.
-        start = one.start[jnp.minimum(2 * k + 1, one.start.size - 1)]
-        tip = Candidate(
-            gap=jnp.where(meets[k], distance[k], jnp.inf),
-            numbers=jnp.stack([jnp.zeros(()), start + along[k], jnp.zeros(())]),
-            phase=jnp.asarray(int(Phase.tip)),
-            side=jnp.ones(()),
-            piece=first + 2 * k + 1,
+        into, stretch = sin * faces.cos - cos * faces.sin, stretches[first + own]
+        meets = faces.touchable & (into > 0) & (along > 0) & (along < faces.length)
+        meets &= ~jnp.any(stretch[:, None] == touched, axis=1)
+        others = meets & (stretch == stretch[:, None]) & (distance > distance[:, None])
+        meets &= ~jnp.any(others, axis=1)
+        none = jnp.zeros(along.size)
+        tips = Candidate(
+            gap=jnp.where(meets, distance, jnp.inf),
+            numbers=jnp.stack([none, one.start[own] + along, none], axis=-1),
+            phase=jnp.full(along.shape, int(Phase.tip)),
+            side=none + 1,
+            piece=first + own,
         )
-        every.append(jax.tree.map(lambda leaf: leaf[None], tip))
+        every.append(tips)
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *every)

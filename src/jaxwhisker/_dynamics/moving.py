@@ -133,6 +133,12 @@ class System(eqx.Module):
         return (whiskers,) if self.contacts == 1 else (whiskers, self.contacts)
 
     @property
+    def may_wedge(self) -> bool:
+        """Whether friction has to know of inner corners."""
+        several = self.contacts > 1 and self.friction is not None
+        return several and self.profile is not None and self.profile.has_edges
+
+    @property
     def at_rest(self) -> Float[Array, " free"]:
         """Free coordinates of the bases where the springs are at rest."""
         if self.network is None:

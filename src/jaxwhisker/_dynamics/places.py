@@ -26,6 +26,8 @@ from jaxwhisker._dynamics.time_step import unknowns_of
 from jaxwhisker._equilibrium.contact import PARAMETER, SLACK, Phase
 
 NEAR = 0.05  # lengths: places with a larger gap are not followed in a step
+DIGITS = 9  # of the length: contacts with the same ones are in one place
+MATCHES = 0.01  # lengths, of gaps and along the whisker: places this close to given contacts are these
 STEPS = 20  # cells of the shaft between two contacts
 FRACTIONS = (1 - np.cos(np.pi * np.arange(STEPS + 1) / STEPS)) / 2
 
@@ -145,22 +147,41 @@ def gaps_at(system: System, base: Array, angle: Array, piece: Array, arc: Array,
     return jax.vmap(one)(system.rods.length, base, angle, piece, arc, parameter)
 
 
-def without_contacts(system: System, base: Array, angle: Array) -> Touching:
-    """The places of whiskers that do not touch yet."""
+def places_at(
+    system: System, base: Array, angle: Array, given: tuple[Float[Array, "*contacts"], Bool[Array, "*contacts"]] | None
+) -> Touching:
+    """The places of whiskers at rest. Those near given contacts, which are fractions of the length, touch."""
+    fixed, *poses = jax.lax.stop_gradient((system, system.rods.length, base, angle))
     none = jnp.zeros(system.contact_shape)
     contacts = Touched(none, none, none.astype(int), none > 0, none > 0)
-    poses = jax.lax.stop_gradient((system.rods.length, base, angle))
-    fixed = jax.lax.stop_gradient(system)
-    found = jax.vmap(lambda *own: places_of(fixed, *own))(*poses, contacts)
+
+    def find(contacts):
+        return jax.vmap(lambda *own: places_of(fixed, *own))(*poses, contacts)
+
+    def known(_, contacts):
+        # Of each object the closest place beside its contacts is found: one after the other.
+        found = find(contacts)
+        assert given is not None
+        arc, touches = given
+        near = jnp.any((jnp.abs(found.arc[:, :, None] - arc[:, None]) < MATCHES) & touches[:, None], axis=-1)
+        gap = gaps_at(fixed, base, angle, found.piece, found.arc, found.parameter)
+        near &= ~found.away & (jnp.abs(gap.distance) < MATCHES)
+        return Touched(found.arc, found.parameter, found.piece, near, near & (gap.at_tip > 0))
+
+    if given is not None:
+        contacts = jax.lax.fori_loop(0, system.contacts, known, contacts)
+    found = find(contacts)
     gap = gaps_at(system, base, angle, found.piece, found.arc, found.parameter)
-    still = none, none, none > 0, none.astype(int), none > 0
     beside = {"piece": found.piece, "away": found.away, "distance": found.distance}
+    still = none, none, contacts.touches, none.astype(int), contacts.touches
     return Touching(found.arc, found.parameter, gap, *still, found.without, **beside)
 
 
 def from_the_tip(touching: Touching, fields: dict[str, Array]) -> dict[str, Array]:
     """Fields (samples, whiskers, contacts) of places, ordered from the tip to the base; zero without contact."""
-    order = jnp.argsort(jnp.where(touching.touches, -jax.lax.stop_gradient(touching.arc), 1.0), axis=-1)
+    arc, parameter = jax.lax.stop_gradient((touching.arc, touching.parameter))
+    # A tip in an inner corner has two contacts: in the order of the outline.
+    order = jnp.lexsort((parameter, jnp.where(touching.touches, -jnp.round(arc, DIGITS), 1.0)), axis=-1)
 
     def ordered(values):
         return jnp.take_along_axis(jnp.where(touching.touches, values, jnp.zeros_like(values)), order, axis=-1)

@@ -71,7 +71,7 @@ def simulate(
             scan, of which the step nearest to the initial drive position counts. It must be a state of these whiskers,
             on this support with the drive where it starts, and on this object. A Sensor lets the whiskers go without
             an object. Default: unloaded, bent only by springs on their shafts that disagree. In both cases whiskers are
-            at rest relative to the drive. Whiskers that may have several contacts start unloaded.
+            at rest relative to the drive.
         steps: number of time steps. Default: steps of 0.001 length^2 sqrt(mass_per_length / bending_stiffness) of the
             first whisker, a period of its first mode divided by 1787; required under tracing.
         every: number of time steps between two samples of the result.
@@ -95,8 +95,8 @@ def simulate(
     Raises:
         ValueError: if an argument has the wrong type or value (a whisker without mass, a duration that is not
             positive, a drive that is not finite), the drive starts inside the object, `start` is a state of another
-            scene, or the scene has springs between the shafts of two whiskers, rigid springs, or polygons with inner
-            corners, which are not simulated.
+            scene, or the scene has springs between the shafts of two whiskers, or rigid springs, which are not
+            simulated.
 
     Warns:
         UserWarning: if the shape functions do not resolve the bending stiffness of a concrete whisker, such as a jump.
@@ -136,12 +136,6 @@ def simulate(
     )
     steps = _default_steps(scene, duration) if steps is None else steps
     control = jax.tree.map(checks.as_float, drive_of(drive, duration))
-    if getattr(scene, "contacts", 1) > 1:
-        if start is not None:
-            checks.fail("start", "None for whiskers that may have several contacts", type(start).__name__)
-        if scene.friction is not None:
-            allowed = "without friction for whiskers that may have several contacts in motion"
-            checks.fail("scene", allowed, f"friction {float(scene.friction):g}")
     begin = None if start is None else start_of(scene, start, control)
     result, clear, off = _simulate(
         scene, control, duration, begin, damping, steps=-(-steps // every) * every, every=every, shapes=shapes
@@ -162,8 +156,6 @@ def _check_scene(scene: Any) -> None:
     for whisker in scene.whiskers:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
-    if isinstance(scene, Scene) and scene.profile.has_edges and scene.profile.is_concave:
-        checks.fail("profile", "without inner corners for a simulation", str(scene.profile))
     allowed = "one without {} for a simulation"
     if scene.support.shaft_loads:
         checks.fail("support", allowed.format("springs between the shafts of two whiskers"), scene.support.name)
@@ -316,7 +308,7 @@ def _result(
         friction["slip"] = jnp.where(touching.touches, touching.slip, 0)
     contact |= {"contact_force": contact_force * unit.force, "phase": phase}
     if system.contacts > 1 and touching is not None:
-        contact = from_the_tip(touching, contact)
+        contact, friction = (from_the_tip(touching, fields) for fields in (contact, friction))
     fx, fy, mz = jnp.moveaxis(forces.reaction, -1, 0)
     length = _lengths_on_shafts(system, samples)
     return {

@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.linear_algebra import inverse
+from jaxwhisker._base.linear_algebra import inverse, solve
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.first_order import first_order
@@ -16,14 +17,14 @@ from jaxwhisker._dynamics.gap import closest, gap_at, others_distance
 from jaxwhisker._dynamics.legendre import polynomials_at, weights_at
 from jaxwhisker._dynamics.motion_state import Ledger, Moving, Rod, Touching, angles_of, nodes_of, posed
 from jaxwhisker._dynamics.moving import MotionUnits, Rods, System
-from jaxwhisker._dynamics.places import without_contacts
+from jaxwhisker._dynamics.places import places_at
 from jaxwhisker._dynamics.time_step import load_at
 from jaxwhisker._dynamics.unloaded import unloaded
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.motion import AbstractMotion, pose_of
 from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._scan.contacts import check_one_contact
+from jaxwhisker._scan.contacts import check_one_contact, has_several, past_contacts
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at, outwards
@@ -39,8 +40,10 @@ class Start(NamedTuple):
     s: Float[Array, "whiskers points"]  # arc length in lengths of the whisker, from base to tip; may have jumps
     curvature: Float[Array, "whiskers points"]  # times the length, without the intrinsic one
     base: Float[Array, "whiskers 3"]  # pose in the scene, in its units
-    touches: Bool[Array, " whiskers"]  # whether they touch the object of a scene that has one
-    contact: Float[Array, "whiskers 3"]  # fraction of the length, and x and y in the scene; 0 if free
+    # Whether they touch the object of a scene that has one, and where: fraction of the length, and x and y in the
+    # scene, 0 if free. If whiskers may have several contacts, these have an axis for them.
+    touches: Bool[Array, "*contacts"]
+    contact: Float[Array, "*contacts 3"]
     off: Float[Array, " whiskers"]  # distance of the shape from its contact, in lengths: 0 if it is of this whisker
     reaction: Float[Array, "whiskers 3"] | None = None  # of the support; None if it does not matter
 
@@ -69,13 +72,19 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
     Raises:
         ValueError: if it is not a State, a Deflection or the Result of a scan, or not one of this many whiskers.
     """
-    at = control(jnp.zeros(()))
+    at, contacts = control(jnp.zeros(())), scene.contacts if isinstance(scene, Scene) else 1
     if isinstance(start, Deflection):
         if scene.support.whiskers != 1:
             checks.fail("start", f"a State of {scene.support.whiskers} whiskers", "a Deflection of one")
-        return _from_deflection(*jax.tree.map(checks.as_float, (scene.whiskers[0], scene.motion)), start, at)
+        known = jax.tree.map(checks.as_float, (scene.whiskers[0], scene.motion))
+        return _from_deflection(*known, start, at, contacts=contacts)
     checks.instance("start", start, State, "a State, a Deflection or the Result of a scan")
-    check_one_contact("start", start)
+    if contacts > 1:
+        own = np.shape(start.phase)[-1] if has_several(start) else 1
+        if own != contacts:
+            checks.fail("start", f"a state with contacts={contacts}", f"one with contacts={own}")
+    elif isinstance(scene, Scene):
+        check_one_contact("start", start)
     if isinstance(start, Result):
         check_one_scan(start)
         k = jnp.argmin(jnp.abs(start.control - at))
@@ -87,14 +96,17 @@ def start_of(scene: Scene | Sensor, start: Any, control: Callable[[Scalar], Scal
 
 
 @Program
-def _from_deflection(whisker: Whisker, motion: AbstractMotion, start: Deflection, control: Scalar) -> Start:
+def _from_deflection(
+    whisker: Whisker, motion: AbstractMotion, start: Deflection, control: Scalar, *, contacts: int
+) -> Start:
     drive = pose_of(motion, control)
     cos, sin = jnp.cos(drive.angle), jnp.sin(drive.angle)
     x, y = start.base_x, start.base_y
     base = [drive.x + cos * x - sin * y, drive.y + sin * x + cos * y, drive.angle + start.base_angle]
     extra = start.curvature - jax.vmap(whisker.curvature_at)(start.s)
-    s, extra, none = start.s / whisker.length, extra * whisker.length, jnp.zeros((1, 3))
-    return Start(s[None], extra[None], jnp.stack(base)[None], none[:, 0] > 0, none, none[:, 0])
+    s, extra = start.s / whisker.length, extra * whisker.length
+    none = jnp.zeros((1, 3) if contacts == 1 else (1, contacts, 3))
+    return Start(s[None], extra[None], jnp.stack(base)[None], none[..., 0] > 0, none, jnp.zeros(1))
 
 
 @Program
@@ -105,9 +117,11 @@ def _from_state(whiskers: tuple[Whisker, ...], by: Holds | None, state: State, c
     s, curvature = (jnp.stack(parts) for parts in zip(*each, strict=True))
     base = jnp.stack([state.base_x, state.base_y, state.base_angle], axis=-1)
     touches, length = state.phase != Phase.free, jnp.stack([jnp.asarray(w.length, dtype=float) for w in whiskers])
-    contact = jnp.stack([state.contact_arc / length, state.contact_x, state.contact_y], axis=-1)
+    over = length[:, None] if has_several(state) else length
+    contact = jnp.stack([state.contact_arc / over, state.contact_x, state.contact_y], axis=-1)
     ends = jnp.stack([_end(*own) for own in zip(whiskers, s, curvature, base, strict=True)])
-    off = jnp.where(touches, jnp.linalg.norm(ends - contact[:, 1:], axis=-1) / length, 0.0)
+    outer = (contact, touches) if not has_several(state) else (contact[:, 0], touches[:, 0])
+    off = jnp.where(outer[1], jnp.linalg.norm(ends - outer[0][:, 1:], axis=-1) / length, 0.0)
     reaction = jnp.stack([state.fx, state.fy, state.mz], axis=-1) if by is None else None
     return Start(s, curvature, base, touches, contact, off, reaction)
 
@@ -126,12 +140,15 @@ def _end(whisker: Whisker, s: Array, curvature: Array, base: Array) -> Float[Arr
 
 
 def _shape(whisker: Whisker, at: State, by: Held | None) -> tuple[Array, Array]:
-    """Arc lengths and curvatures of one whisker, loaded up to its contact."""
-    touches = at.phase != Phase.free
+    """Arc lengths and curvatures of one whisker, loaded up to its contact, or its outermost one."""
+    several = has_several(at)
+    touches, arc = (values[0] if several else values for values in (at.phase != Phase.free, at.contact_arc))
     length = jnp.asarray(whisker.length, dtype=float)
-    arc, reaction = jnp.where(touches, at.contact_arc, length), (at.fx, at.fy, at.mz)
+    arc, reaction = jnp.where(touches, arc, length), (at.fx, at.fy, at.mz)
     s = arc * jnp.linspace(0.0, 1.0, POINTS)
-    if by is None:
+    if several:
+        _, moment = past_contacts(whisker, at, s)
+    elif by is None:
         x, y, _, _ = outwards(whisker, base_of(at), reaction, arc, count=POINTS)
         moment = -at.mz + (x - at.base_x) * at.fy - (y - at.base_y) * at.fx
     else:
@@ -160,14 +177,19 @@ def initial(
     velocity = carried[:, :2, None] + carried[:, 2, None, None] * jnp.stack([-apart[:, 1], apart[:, 0]], axis=1)
     touching = None
     if system.profile is not None:
-        none = jnp.zeros(whiskers)
+        none = jnp.zeros(system.contact_shape)
         touches = none > 0 if start is None else start.touches
+        given = None if start is None else (start.contact[..., 0], start.touches)
         for _ in range(0 if start is None else CLOSINGS):
-            q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
+            if system.contacts == 1:
+                q = jax.vmap(lambda *own: _closed(system, *own))(system.rods, q, base, touches)
+            else:
+                places = places_at(system, base, angles_of(system, q, base), given)
+                q = jax.vmap(lambda *own: _closed_together(system, *own))(system.rods, q, places)
         angle = angles_of(system, q, base)
         at = nodes_of(system, base, angle)
         one = system.contacts == 1
-        touching = _closest(system, base, angle, touches) if one else without_contacts(system, base, angle)
+        touching = _closest(system, base, angle, touches) if one else places_at(system, base, angle, given)
     count = whiskers * (system.n + system.contact_unknowns) + len(system.free)
     rod = Rod(q, base, angle, at, velocity, carried[:, 2], touching)
     ledger = Ledger(*[jnp.zeros(())] * len(Ledger._fields))
@@ -205,6 +227,12 @@ def misfit(system: System, unit: MotionUnits, start: Start, drive: Float[Array, 
     if system.profile is None:
         return jax.lax.stop_gradient(off)
 
+    if system.contacts > 1:
+        given = start.contact[..., 0], start.touches
+        places = places_at(system, base, angles_of(system, q, base), given)
+        missing = jnp.sum(start.touches, axis=1) - jnp.sum(places.touches, axis=1)
+        return jax.lax.stop_gradient(jnp.maximum(off, jnp.max(missing)))
+
     def one(rod, q, base, contact):
         angle = jnp.pi / 2 + base[2] + rod.rest + system.basis.angles @ q
         here = posed(system, rod.length, base, angle)
@@ -227,3 +255,13 @@ def _closed(system: System, rod: Rods, q: Array, base: Array, touches: Bool[Arra
     bends = inverse(rod.stiffness) @ across
     # The closest points move with the shape, to second order.
     return jnp.where(touches, first_order(q - bends * gap.distance / (across @ bends)), q)
+
+
+def _closed_together(system: System, rod: Rods, q: Array, touching: Touching) -> Array:
+    """The shape of a whisker, bent by changes of all contact forces that close the gaps to first order."""
+    across = touching.gap.across @ system.basis.angles
+    bends = inverse(rod.stiffness) @ across.T
+    acts = touching.touches
+    ease = jnp.where(acts[:, None] & acts, across @ bends, jnp.eye(acts.size))
+    force = solve(ease, jnp.where(acts, touching.gap.distance, 0.0)[:, None])[:, 0]
+    return first_order(q - bends @ force)

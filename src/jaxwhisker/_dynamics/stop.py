@@ -2,6 +2,9 @@
 
 With friction, Coulomb's law holds for the force of the step together with the impulse at its end: the impulse along the
 tangent stops a contact that sticks if friction is large enough; otherwise friction is mu times the normal force.
+
+Several contacts of one whisker stop together. Each of them is open, stops or slides, and its law is one or two linear
+equations. Whatever the solution contradicts is changed, until nothing is.
 """
 
 from typing import NamedTuple
@@ -12,8 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import inverse, solve
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._dynamics.features import wedged
 from jaxwhisker._dynamics.motion_state import Moving, Rod
 from jaxwhisker._dynamics.moving import Rods, System
+from jaxwhisker._dynamics.outline import ObjectChain
+
+SOFT = 1e-9  # relative to the ease of all contacts: resistance to impulses that would change nothing
+ROUNDS = 6  # changes of the mode per contact
 
 
 class Impulse(NamedTuple):
@@ -73,8 +81,10 @@ def _impulse(
         turns = jnp.stack([jnp.sum(touching.gap.across), jnp.sum(touching.gap.along)])
         directions = jnp.stack([touching.gap.normal, touching.gap.tangent])
     else:
-        gradients = [touching.gap.across @ shapes.angles]
-        turns, directions = jnp.sum(touching.gap.across, axis=1), touching.gap.normal
+        gap, parts = touching.gap, 1 if system.friction is None else 2
+        levers = jnp.concatenate([gap.across, gap.along][:parts])
+        gradients, turns = [levers @ shapes.angles], jnp.sum(levers, axis=1)
+        directions = jnp.concatenate([gap.normal, gap.tangent][:parts])
     own, spin = rod.velocity - carried[:2, None] - carried[2] * about, rod.spin - carried[2]
     if system.free:
         shifts = jnp.broadcast_to(frame[:, None, :], (*apart.shape, 2))
@@ -99,8 +109,14 @@ def _impulse(
         given = jnp.where(touching.touches, balanced(system.friction, touching.slip, so_far, rates, ease), 0.0)
         normal, drag = given[0], given[1]
     else:
-        given = normal = pushes(touching.touches, h * touching.force, rates, ease)
-        drag = jnp.zeros_like(given)
+        so_far = h * jnp.concatenate([touching.force, touching.drag][:parts])
+        sticks = touching.slip == 0
+        if system.may_wedge:
+            assert isinstance(system.profile, ObjectChain) and touching.piece is not None
+            sticks &= ~wedged(system.profile, touching.piece, touching.arc, touching.touches)
+        given = balanced_together(system.friction, touching.touches, sticks, touching.slip, so_far, rates, ease)
+        count = system.contacts
+        normal, drag = given[:count], given[count:] if system.friction is not None else jnp.zeros(count)
     change = given @ answers
     velocity, spun = moves @ change, change[-1] if system.free else jnp.zeros(())
     pushed = jnp.sum(rods.mass * velocity, axis=-1) - given @ directions
@@ -108,28 +124,6 @@ def _impulse(
     reaction = jnp.append(pushed, twisted)
     loss = -given @ rates - given @ ease @ given / 2
     return Impulse(velocity, spun, normal, drag, reaction, carried @ reaction, loss)
-
-
-def pushes(
-    touches: Bool[Array, " contacts"],
-    so_far: Float[Array, " contacts"],
-    rates: Float[Array, " contacts"],
-    ease: Float[Array, "contacts contacts"],
-) -> Float[Array, " contacts"]:
-    """Normal impulses at several contacts of one whisker; contacts that would have to pull are left out.
-
-    Args:
-        touches: where there are contacts.
-        so_far: impulses during this step.
-        rates: velocities along the normals.
-        ease: their changes by impulses.
-    """
-    acts, given = touches, jnp.zeros_like(rates)
-    for _ in range(touches.size):
-        matrix = jnp.where(acts[:, None] & acts, ease, jnp.eye(touches.size))
-        given = solve(matrix, jnp.where(acts, -rates, 0.0)[:, None])[:, 0]
-        acts &= so_far + given >= 0
-    return jnp.where(acts, given, 0.0)
 
 
 def balanced(
@@ -173,3 +167,80 @@ def balanced(
     sliding = dragging(against)
     still = pushes_inwards(against) | (slip * (rates[1] + ease[1] @ sliding) < 0)
     return jnp.where((slip == 0) | still, stops, sliding)
+
+
+class _Mode(NamedTuple):
+    """What several contacts do in an impulse."""
+
+    acts: Bool[Array, " contacts"]  # the others are open
+    stops: Bool[Array, " contacts"]  # along the tangent; the others slide
+    drag: Int[Array, " contacts"]  # direction of friction where contacts slide
+
+
+def balanced_together(
+    friction: Scalar | None,
+    touches: Bool[Array, " contacts"],
+    sticks: Bool[Array, " contacts"],
+    slip: Int[Array, " contacts"],
+    so_far: Float[Array, " impulses"],
+    rates: Float[Array, " impulses"],
+    ease: Float[Array, "impulses impulses"],
+) -> Float[Array, " impulses"]:
+    """Impulses at several contacts of one whisker: all along normals, and with friction then all along tangents.
+
+    Args:
+        friction: its coefficient, if any.
+        touches: where there are contacts.
+        sticks: which of them stick in the step that ends here.
+        slip: directions in this step; 0 for contacts that stick, or that do without friction.
+        so_far: impulses during this step.
+        rates: velocities along normals and tangents.
+        ease: their changes by impulses.
+    """
+    law, count = (friction, so_far, rates, ease), touches.size
+    known = jax.lax.stop_gradient(law)
+
+    def improve(carry):
+        mode, _, k = carry
+        new = _revised(mode, known)
+        changes = (new.acts != mode.acts) | new.acts & (new.stops != mode.stops)
+        return new, jnp.any(changes), k + 1
+
+    start = _Mode(touches, sticks, -slip), jnp.any(touches), 0
+    rounds = ROUNDS * count
+    mode, changes, _ = jax.lax.while_loop(lambda carry: carry[1] & (carry[2] < rounds), improve, start)
+    # Contacts without a consistent mode stop, which loses energy.
+    return _given(mode._replace(stops=mode.stops | changes), law)
+
+
+def _given(mode: _Mode, law: tuple) -> Float[Array, " impulses"]:
+    friction, so_far, rates, ease = law
+    acts, matrix, right, own = mode.acts, ease, -rates, jnp.eye(rates.size)
+    if friction is not None:
+        count = acts.size
+        acts, slides = jnp.append(acts, acts), jnp.append(acts & False, ~mode.stops)
+        # Two contacts on a straight stretch cannot move differently along it.
+        matrix += jnp.diag(jnp.repeat(jnp.array([0.0, SOFT]), count) * jnp.trace(ease))
+        ratio = jnp.append(jnp.zeros(count), friction * mode.drag)
+        matrix = jnp.where(slides[:, None], own - ratio[:, None] * jnp.roll(own, count, axis=1), matrix)
+        right = jnp.where(slides, ratio * jnp.roll(so_far, count) - so_far, right)
+    matrix = jnp.where(acts[:, None], jnp.where(acts, matrix, 0.0), own)
+    return solve(matrix, jnp.where(acts, right, 0.0)[:, None])[:, 0]
+
+
+def _revised(mode: _Mode, law: tuple) -> _Mode:
+    """The mode without what its impulses contradict."""
+    (friction, so_far, rates, ease), count = law, mode.acts.size
+    given = _given(mode, law)
+    total, left = so_far + given, rates + ease @ given
+    acts = mode.acts & (total[:count] >= 0)
+    if friction is None:
+        return mode._replace(acts=acts)
+    drag = jnp.sign(total[count:]).astype(int)
+
+    def pushes_inwards(direction):  # Painleve's paradox
+        return jnp.diag(ease)[:count] + friction * direction * jnp.diag(ease, count) <= 0
+
+    gives = (jnp.abs(total[count:]) > friction * total[:count]) & ~pushes_inwards(drag)
+    turned = (mode.drag * left[count:] > 0) | pushes_inwards(mode.drag)
+    return _Mode(acts, jnp.where(mode.stops, ~gives, turned), jnp.where(mode.stops, drag, mode.drag))

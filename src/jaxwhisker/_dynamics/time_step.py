@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.features import gap_on, slips_off
+from jaxwhisker._dynamics.features import gap_on, slips_off, stretches_of, wedged
 from jaxwhisker._dynamics.gap import Gap, gap_at
 from jaxwhisker._dynamics.held import Pulls, ends_of, pulls_of
 from jaxwhisker._dynamics.legendre import sinc
@@ -57,6 +57,7 @@ class ContactMode(NamedTuple):
     touches: Bool[Array, "*contacts"]
     slip: Int[Array, "*contacts"]  # +1 or -1 along the object; 0 if the contact sticks or is held
     imposed: Imposed
+    wedged: Bool[Array, "*contacts"] | None = None  # in an inner corner, without friction; of several contacts only
 
     @property
     def acts(self) -> Bool[Array, "*contacts"]:
@@ -66,7 +67,8 @@ class ContactMode(NamedTuple):
     @property
     def sticks(self) -> Bool[Array, "*contacts"]:
         """Whether the contact sticks to the object."""
-        return self.acts & (self.slip == 0) & ~self.imposed.held
+        sticks = self.acts & (self.slip == 0) & ~self.imposed.held
+        return sticks if self.wedged is None else sticks & ~self.wedged
 
 
 class Forces(NamedTuple):
@@ -152,7 +154,7 @@ def _contacts_of(
     here = posed(system, rods.length, base, angle)
     turned, shifted = angle - old.angle, (base - old.base)[:2]
 
-    def one(old: Touching, mode: ContactMode | Imposed, contact: Array, barred: Array | None):
+    def one(old: Touching, mode: ContactMode | Imposed, contact: Array, barred: Array | None, wedged: Array | None):
         assert system.profile is not None
         arc, parameter = contact[0], contact[1]
         gap = gap_at(here, arc, parameter) if old.piece is None else gap_on(here, old.piece, arc, parameter)
@@ -163,11 +165,11 @@ def _contacts_of(
         above = gap.distance - jnp.minimum(0.0, jnp.exp(-faded) * before)
         loads = [(contact[2] * across, contact[2] * normal)]
         slipped = along @ turned + tangent @ shifted
-        mode = mode if isinstance(mode, ContactMode) else _mode(system, contact, above, slipped, mode, barred)
+        mode = mode if isinstance(mode, ContactMode) else _mode(system, contact, above, slipped, mode, barred, wedged)
         end = jnp.where(mode.imposed.held, _held(system.profile, contact, old), gap.end)
         rows = jnp.stack([end, gap.foot, jnp.where(mode.acts, above, contact[2])])
         if old.away is not None:
-            rows = jnp.where(old.away, contact - jnp.stack([old.arc, old.parameter, 0.0]), rows)
+            rows = jnp.where(old.away, contact[:3] - jnp.stack([old.arc, old.parameter, 0.0]), rows)
         if system.friction is not None:
             loads.append((contact[3] * along, contact[3] * tangent))
             dragged = contact[3] + system.friction * mode.slip * contact[2]
@@ -176,10 +178,13 @@ def _contacts_of(
 
     assert old.touching is not None
     if system.contacts == 1:
-        return one(old.touching, mode, contact, None)
-    contacts = system.by_contact(contact)
+        return one(old.touching, mode, contact, None, None)
+    contacts, in_corner = system.by_contact(contact), None
+    if system.may_wedge:
+        assert isinstance(system.profile, ObjectChain) and old.touching.piece is not None
+        in_corner = wedged(system.profile, old.touching.piece, contacts[:, 0], contacts[:, 2] > 0)
     each = old.touching._replace(deepest=None, others=None, distance=None)  # of whiskers
-    gap, mode, rows, loads = jax.vmap(one)(each, mode, contacts, barred(system, old.touching, contacts))
+    gap, mode, rows, loads = jax.vmap(one)(each, mode, contacts, barred(system, old.touching, contacts), in_corner)
     return gap, mode, jnp.ravel(rows), jax.tree.map(lambda load: jnp.sum(load, axis=0), loads)
 
 
@@ -187,9 +192,8 @@ def barred(system: System, old: Touching, contacts: Float[Array, "contacts conta
     """Which of several contacts of a whisker may not be: they are away from the object, or where another one is."""
     profile = system.profile
     assert isinstance(profile, ObjectChain) and old.away is not None and old.piece is not None
-    arc, number = contacts[:, 0], profile.object_of(old.piece)
-    assert number is not None
-    same = (jnp.abs(arc[:, None] - arc) < SAME_PLACE) & (number[:, None] == number)
+    arc, stretch = contacts[:, 0], stretches_of(profile)[old.piece]
+    same = (jnp.abs(arc[:, None] - arc) < SAME_PLACE) & (stretch[:, None] == stretch)
     place = jnp.arange(arc.size)
     earlier = jnp.where(old.touches[:, None] == old.touches, place[:, None] > place, old.touches)
     found = old.away | jnp.any(same & earlier & ~old.away, axis=1)
@@ -222,6 +226,7 @@ def _mode(
     slipped: Scalar,
     imposed: Imposed,
     barred: Bool[Array, ""] | None = None,
+    wedged: Bool[Array, ""] | None = None,
 ) -> ContactMode:
     """Whether a whisker touches and slips, by the signs of trial gaps, forces and slips."""
     touches = contact[2] > gap + jnp.where(imposed.free, SLIPS_IN, 0.0)
@@ -231,7 +236,9 @@ def _mode(
         return ContactMode(touches, jnp.asarray(0), imposed)
     drag, limit = contact[3] - slipped, system.friction * jnp.maximum(contact[2], 0.0)
     slips = (jnp.abs(drag) >= limit) & ~imposed.held
-    return ContactMode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed)
+    if wedged is not None:
+        slips &= ~wedged
+    return ContactMode(touches, jnp.where(slips, -jnp.sign(drag), 0.0).astype(int), imposed, wedged)
 
 
 class StepUnknowns(NamedTuple):
