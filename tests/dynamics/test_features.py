@@ -8,10 +8,22 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxwhisker as jw
-from jaxwhisker._dynamics.features import gap_on, next_piece, slips_off
+from jaxwhisker._chain.gaps import Candidate
+from jaxwhisker._chain.polygons import corner_signs
+from jaxwhisker._chain.shaft import WholeShaft
+from jaxwhisker._dynamics.features import (
+    ends_of,
+    gap_on,
+    next_piece,
+    slips_off,
+    stretches_of,
+    wedged,
+    with_tips_at_faces,
+)
 from jaxwhisker._dynamics.gap import Posed, gap_at
 from jaxwhisker._dynamics.legendre import basis
 from jaxwhisker._dynamics.outline import outline
+from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.objects import Objects
 
 BOX, CIRCLE = jw.Box(distance=0.5, width=0.4, height=0.3), jw.Circle(0.3, 0.2, position=2.0)
@@ -103,3 +115,59 @@ def test_contacts_pass_corners_and_slip_off():
     assert tips.tolist() == [True, False, True] and not shafts.any()
     corners = slips_off(PROFILE, jnp.full(2, LEFT), jnp.array([0.999, 1.001]), jnp.full(2, ends(LEFT)[0] + 0.1))
     assert corners.tolist() == [False, True]
+
+
+NOTCH: Any = outline(Objects((jw.Polygon([(-0.5, 0.5), (0.0, 0.8), (0.5, 0.5), (0.0, 1.4)]), CIRCLE)).in_unit(1.0))
+
+
+def test_inner_corners_separate_stretches_and_end_no_face():
+    (inner,) = np.flatnonzero(corner_signs(NOTCH) < 0)
+    pieces, circle = int(NOTCH.first_pieces()[1]), int(stretches_of(NOTCH)[-1])
+    stretches = np.asarray(stretches_of(NOTCH))
+    assert len(set(stretches[:inner])) == len(set(stretches[inner:pieces])) == 1
+    assert stretches[0] < stretches[inner] < circle
+    # The faces on both sides go on inside the object.
+    low, high = ends_of(NOTCH, jnp.array([inner - 1, inner + 1]))
+    assert np.isfinite(low).tolist() == [True, False] and np.isfinite(high).tolist() == [False, True]
+    beyond = high[1] + 0.1
+    assert next_piece(NOTCH, jnp.array([inner - 1, inner + 1]), jnp.stack([beyond, beyond])).tolist() == [
+        inner - 1,
+        inner + 2,
+    ]
+
+
+def test_two_contacts_hold_a_tip_in_an_inner_corner():
+    (inner,) = np.flatnonzero(corner_signs(NOTCH) < 0)
+    faces = jnp.array([inner - 1, inner + 1])
+
+    def held(piece, arc, presses):
+        return wedged(NOTCH, piece, jnp.array(arc), jnp.array(presses)).tolist()
+
+    assert held(faces, [1.0, 1.0], [True, True]) == [True, True]
+    assert held(faces, [1.0, 1.0], [True, False]) == [False, False]
+    assert held(faces, [1.0, 0.7], [True, True]) == [False, False]
+    assert held(faces[:1].repeat(2), [1.0, 1.0], [True, True]) == [False, False]
+
+
+def test_a_tip_meets_one_face_of_each_stretch():
+    # An upright whisker under the inner corner, with its tip 0.1 below it.
+    shaft = straight_shaft(x=0.01, tip=0.7)
+    none = jnp.full(1, jnp.inf), jnp.zeros((1, 3)), jnp.full(1, int(Phase.tip)), jnp.ones(1), jnp.zeros(1, int)
+    found = with_tips_at_faces(NOTCH, Candidate(*none), shaft)
+    near = np.isfinite(found.gap)
+    (inner,) = np.flatnonzero(corner_signs(NOTCH) < 0)
+    assert set(np.asarray(found.piece)[near].tolist()) == {inner - 1, inner + 1}
+    across = np.array([0.5, 0.3]) / np.hypot(0.5, 0.3)  # along the face on the left
+    apart = np.array([0.01, 0.7]) - [0.0, 0.8]
+    left = apart @ [across[1], -across[0]]
+    right = apart @ [-across[1], -across[0]]
+    gaps = dict(zip(np.asarray(found.piece)[near].tolist(), np.asarray(found.gap)[near].tolist(), strict=True))
+    np.testing.assert_allclose([gaps[inner - 1], gaps[inner + 1]], [left, right], atol=EXACT)
+
+
+def straight_shaft(x, tip):
+    """An upright shaft without contacts."""
+    beyond = jnp.stack([jnp.linspace(0.0, 0.5, 5)] * 3)
+    none = jnp.zeros_like(beyond)
+    number = jnp.full(3, -1)
+    return WholeShaft(beyond, x + none, tip - beyond, none, none + 1, none, number, number)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.gaps import gaps_of
 from jaxwhisker._chain.shaft import WholeShaft
-from jaxwhisker._dynamics.features import gap_on, next_piece, with_tips_at_faces
+from jaxwhisker._dynamics.features import gap_on, next_piece, slips_off, with_tips_at_faces
 from jaxwhisker._dynamics.gap import Gap
 from jaxwhisker._dynamics.legendre import Basis, weights_at
 from jaxwhisker._dynamics.motion_state import Moving, Touching, posed
@@ -114,7 +114,13 @@ def with_places(system: System, moving: Moving) -> Moving:
     rod, at = moving.rod, moving.rod.touching
     assert at is not None
     assert isinstance(system.profile, ObjectChain) and at.piece is not None
-    piece = next_piece(system.profile, at.piece, at.parameter) if system.profile.has_edges else at.piece
+    piece = at.piece
+    if system.profile.has_edges:
+        # A contact that slips off lasts until the end of the step, in which its force does no work.
+        off = slips_off(system.profile, piece, at.arc, at.parameter)
+        force, drag = (jnp.where(off, 0.0, values) for values in (at.force, at.drag))
+        at = at._replace(touches=at.touches & ~off, force=force, drag=drag)
+        piece = next_piece(system.profile, piece, at.parameter)
     contacts = Touched(at.arc, at.parameter, piece, at.touches, at.gap.at_tip > 0)
     fixed, *known = jax.lax.stop_gradient((system, system.rods.length, rod.base, rod.angle, contacts))
     found = jax.vmap(lambda *own: places_of(fixed, *own))(*known)

@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._dynamics.features import gap_on, slips_off, stretches_of, wedged
+from jaxwhisker._dynamics.features import gap_on, stretches_of, wedged
 from jaxwhisker._dynamics.gap import Gap, gap_at
 from jaxwhisker._dynamics.held import Pulls, ends_of, pulls_of
 from jaxwhisker._dynamics.legendre import sinc
@@ -196,8 +196,7 @@ def barred(system: System, old: Touching, contacts: Float[Array, "contacts conta
     same = (jnp.abs(arc[:, None] - arc) < SAME_PLACE) & (stretch[:, None] == stretch)
     place = jnp.arange(arc.size)
     earlier = jnp.where(old.touches[:, None] == old.touches, place[:, None] > place, old.touches)
-    found = old.away | jnp.any(same & earlier & ~old.away, axis=1)
-    return found | slips_off(profile, old.piece, arc, contacts[:, 1]) if profile.has_edges else found
+    return old.away | jnp.any(same & earlier & ~old.away, axis=1)
 
 
 def _held(profile: AbstractProfile, contact: Array, old: Touching) -> Scalar:
