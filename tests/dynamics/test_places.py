@@ -69,7 +69,7 @@ def test_fields_are_ordered_from_the_tip():
     touches = jnp.array([[[False, True, True]], [[True, False, False]]])
     arc = jnp.array([[[0.9, 0.2, 0.7]], [[0.3, 0.9, 0.8]]])
     none = jnp.zeros(())
-    touching = Touching(arc, none, none, none, none, touches, none, none, none)  # pyright: ignore[reportArgumentType]
+    touching = Touching(arc, arc, none, none, none, touches, none, none, none)  # pyright: ignore[reportArgumentType]
     ordered = from_the_tip(touching, {"arc": arc, "phase": jnp.array([[[1, 2, 3]], [[4, 5, 6]]])})
     assert ordered["arc"].tolist() == [[[0.7, 0.2, 0.0]], [[0.3, 0.0, 0.0]]]
     assert ordered["phase"].tolist() == [[[3, 2, 0]], [[4, 0, 0]]]
