@@ -55,8 +55,8 @@ notebooks: $(VENV)/installed-dev ## run all notebooks and save them with outputs
 figures: $(VENV)/installed-dev ## draw the figures of the documentation and write the page on the thesis (10 minutes)
 	@for script in figures/*.py; do $(BIN)/python $$script || exit 1; done
 
-bench: $(VENV)/installed-bench ## measure error and run time, compare simulators (70 minutes; QUICK=1: three minutes)
-	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision space_precision motion_precision growth cold_start ladder roofline space_rod report) && $(draw))
+bench: $(VENV)/installed-bench ## measure error and run time, compare simulators (90 minutes; QUICK=1: three minutes)
+	@$(if $(QUICK),$(BIN)/python benchmarks/work_precision.py --quick,$(call run,work_precision space_precision several_precision motion_precision growth cold_start ladder roofline space_rod report) && $(draw))
 
 bench-more: $(VENV)/installed-dev ## measure gradients, studies, supports, films and sliders (needs ffmpeg, chromium)
 	@$(call run,gradient_cost study_speed critical_map settings showing report) && $(draw)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from peers.scene import Circle
+from peers.scene import Circle, Circles
 
 SUBSTEPS = 4  # Runge-Kutta steps between two arc lengths
 
@@ -40,7 +40,7 @@ class RingDown:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Dragged past a circle at constant speed, from clear of it to after the release; at rest relative to the base."""
+    """Dragged past circles at constant speed, from clear of it to after the release; at rest relative to the base."""
 
     stiffness_damping: float = 0.0  # time constant of the material
     mass_damping: float = 0.0  # drag of still air, per mass
@@ -48,7 +48,7 @@ class Sweep:
     stop: float = -1.8
     speed: float = 0.2
     samples: int = 350
-    scene: Circle = field(default_factory=Circle)
+    scene: Circle | Circles = field(default_factory=Circle)
 
     @property
     def duration(self) -> float:

@@ -27,6 +27,11 @@ class Circle(Scene):
 
     radius: float = 1.0
 
+    @property
+    def circles(self):
+        """Centre x, y and radius."""
+        return ((0.0, self.distance + self.radius, self.radius),)
+
     def contact(self, alpha):
         """Point of the circle at slope angle alpha."""
         return self.radius * np.sin(alpha), self.distance + self.radius * (1 - np.cos(alpha))
@@ -42,3 +47,10 @@ class InSpace:
     torsion_ratio: float = 2 / 3
     radius: float = 1.0
     height: float = 1.3  # of the centre of the sphere above the base
+
+
+@dataclass(frozen=True)
+class Circles:
+    """Two circles that a clamped whisker (L = EI = 1) passes from right to left; its base is at (u, 0)."""
+
+    circles: tuple[tuple[float, float, float], ...] = ((0.0, 0.7, 0.2), (-0.55, 0.37, 0.12))  # x, y, radius
