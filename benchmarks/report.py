@@ -175,6 +175,43 @@ def motion() -> str:
     return f"{table(kept)}\n\n{environment('motion')[:-1]}; {others}."
 
 
+def several_precision() -> str:
+    """Every method past two circles at every setting."""
+    e, rows, kept = read("several_precision")["environment"], read("several_precision")["rows"], []
+    for row in rows:
+        kept.append({
+            "method": row["method"],
+            "setting": row["setting"],
+            "batch": row["batch"],
+            "positions": row["positions"],
+            "ms per equilibrium": row["ms per equilibrium"],
+            "quartiles": f"{row['lower quartile']:.3g} to {row['upper quartile']:.3g}",
+            "s per scan": row["s per scan"],
+            "mz": row["mz"],
+            "fx": row["fx"],
+            "mz, two contacts": row["mz, two contacts"],
+            "fx, two contacts": row["fx, two contacts"],
+            "jump": row["jump"],
+            "first call, s": row["first call, s"],
+            "failed": f"{row['failed']:.0%}" if row["failed"] else None,
+        })  # fmt: skip
+    others = ", ".join(f"{name} {e[name]}" for name in ("scipy", "mujoco", "exudyn", "pyelastica"))
+    return f"{table(kept)}\n\n{environment('several_precision')[:-1]}; {others}; load {e['load']}."
+
+
+def several_at_error() -> str:
+    """Time per equilibrium past two circles, in ms, of the fastest setting within given errors, and smallest errors."""
+    rows, kept = read("several_precision")["rows"], []
+    for method, batch, positions in dict.fromkeys((row["method"], row["batch"], row["positions"]) for row in rows):
+        own = [row for row in rows if (row["method"], row["batch"], row["positions"]) == (method, batch, positions)]
+        line = {"method": method, "batch": batch, "positions": positions}
+        for signal, within in (("mz", 1e-2), ("mz", 1e-3), ("mz", 1e-4), ("fx", 1e-2), ("fx", 1e-3)):
+            times = [row["ms per equilibrium"] for row in own if row[signal] <= within]
+            line[f"{signal} within {within:.0e}"] = min(times, default=None)
+        kept.append(line | {f"smallest error of {signal}": min(row[signal] for row in own) for signal in ("mz", "fx")})
+    return table(kept)
+
+
 def in_short() -> str:
     """The README's table: integrated rods beside the closed form."""
     settings = {"integrated": "splitting of order 6, 8 steps", "closed form": "elliptic functions"}
@@ -421,6 +458,7 @@ WHOLE = (
     *("identify_guesses", "identify_noise", "reconstruct", "test_times", "test_packages"),
 )
 SELECTED = (in_short, work_precision, speed_up, space_precision, motion, motion_best, models, settings, claims)
+SELECTED += (several_precision, several_at_error)
 SELECTED += (known_subsets, known_errors, known_networks, known_friction, revealed_friction, films, sliders)
 TABLES = {function.__name__: function for function in SELECTED}
 TABLES |= {"growth": partial(whole, "growth", "failed")} | {name: partial(whole, name) for name in WHOLE}

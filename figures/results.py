@@ -1,7 +1,7 @@
 """Draw the figures of stored benchmark results: python figures/results.py
 
-Writes docs/work_precision.png, space_precision.png, motion_precision.png, numbers.png, supports.png, whiskers.png and
-known.png.
+Writes docs/work_precision.png, space_precision.png, several_precision.png, motion_precision.png, numbers.png,
+supports.png, whiskers.png and known.png.
 """
 
 import sys
@@ -141,6 +141,39 @@ def draw_motion() -> None:
     axs[1].set_ylabel("rms error of mz, relative to the peak")
     fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     fig.savefig(DOCS / "motion_precision.png", dpi=130)
+
+
+TOUCHING_TWICE = {
+    "jaxwhisker": METHODS["jaxwhisker, integrated"],
+    "jaxwhisker, motion": ("#56B4E9", "D"),
+    "discrete rod": METHODS["scipy: fsolve, solve_ivp (thesis)"],
+    "discrete rod, contact at hinges": METHODS["scipy: solve_bvp"],
+    "MuJoCo": METHODS["MuJoCo: hinge chain"],
+    "Exudyn": METHODS["diffrax and optimistix"],
+    "PyElastica": METHODS["PyElastica"],
+}
+
+
+def draw_several_precision() -> None:
+    """Error against time past two circles: mz and fx, a line for each number of positions and lanes."""
+    rows = read("several_precision")["rows"]
+    fig, axs = plt.subplots(1, 2, figsize=(10, 4.6), sharex=True, sharey=True, layout="constrained")
+    for ax, signal in zip(axs, ("mz", "fx"), strict=True):
+        for method, (colour, marker) in TOUCHING_TWICE.items():
+            own = [row for row in rows if row["method"] == method]
+            lines = list(dict.fromkeys((row["batch"], row["positions"]) for row in own))
+            for (batch, positions), style in zip(lines, ("-", "--", ":"), strict=False):
+                line = [row for row in own if (row["batch"], row["positions"]) == (batch, positions)]
+                x, y = [row["ms per equilibrium"] for row in line], [row[signal] for row in line]
+                size = f", {positions} positions" + f", batch of {batch}" * (batch > 1)
+                label = method + size * (len(lines) > 1)
+                ax.loglog(x, y, color=colour, marker=marker, ms=4, lw=1, ls=style, label=label)
+        ax.set_title(f"largest error of {signal}", fontsize=10)
+        ax.set_xlabel("time per equilibrium (ms)")
+        ax.grid(alpha=0.3, lw=0.5)
+    axs[0].set_ylabel("error, relative to the peak")
+    fig.legend(*axs[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    fig.savefig(DOCS / "several_precision.png", dpi=130)
 
 
 def draw_numbers() -> None:
@@ -303,7 +336,7 @@ def draw_known() -> None:
 
 def main() -> None:
     """Draw all figures."""
-    of_speed = draw_work_precision, draw_space_precision, draw_motion, draw_numbers
+    of_speed = draw_work_precision, draw_space_precision, draw_several_precision, draw_motion, draw_numbers
     for draw in (*of_speed, draw_supports, draw_whiskers, draw_known):
         draw()
 
