@@ -225,7 +225,7 @@ def methods(name: str):
         from peers import moving_rod
 
         moving_rod.states(Circles(), np.array([0.3, 0.29]), 10, 0.04)  # Numba compiles
-        for elements, radius in ((10, 0.04), (20, 0.02), (40, 0.01)):
+        for elements, radius in ((10, 0.04), (20, 0.02)):
             scan = partial(moving_rod.states, elements=elements, radius=radius)
             yield plain(name, f"{elements} elements, radius {radius}", scan, 1, NEAR_JUMP_AT_REST)
 

@@ -80,4 +80,5 @@ def test_every_method_is_measured():
         "discrete rod, contact at hinges",
         "MuJoCo",
         "Exudyn",
+        "PyElastica",
     }
