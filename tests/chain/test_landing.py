@@ -28,10 +28,12 @@ from several_cases import CASES
 from several_engine import march_at, of_event, problem, trial_at, with_contacts
 
 PLACE = 0.02  # lengths: two links of the coarse rods
+ROUNDING = 1e-9  # of contacts of rods at rest, between a batch and one rod
 PUSHES = 0.1  # of forces of coarse rods, relative
 SNAPS = [event for event in CASES["wavy"]["events"] if "after" in event]
 
 revised, flowed = jax.jit(revised_landing), jax.jit(after_flow)
+flowed_lanes = jax.jit(jax.vmap(after_flow, (None, 0)))
 
 
 def test_rods_flow_from_where_stability_is_lost():
@@ -137,3 +139,17 @@ def test_rods_come_to_rest_in_the_contacts_after_a_snap(event):
     np.testing.assert_allclose(new.point.u, event["control"] - BEYOND[0])
     for row, (_, _, _, force, _, x, _) in zip(new.point.z, contacts[::-1], strict=False):
         assert abs(float(row[0]) - force) < PUSHES * force and abs(float(row[1]) - x) < PLACE
+
+
+@pytest.mark.parametrize(
+    ("other", "then"), [(Task.advance, Task.flow), (Task.done, Task.arrive), (Task.flow, Task.arrive)]
+)
+def test_lanes_of_a_batch_flow_together(other, then):
+    # The flow of one lane costs as much as that of all.
+    flowing = to_snap(march_at(of_event(SNAPS[0])))
+    lanes = flowing, flowing.replace(task=jnp.asarray(int(other)))
+    new, _, _ = flowed_lanes(problem(), jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes))
+    assert int(new.task[0]) == then
+    if then == Task.arrive:
+        alone, _, _ = flowed(problem(), flowing)
+        np.testing.assert_allclose(new.point.z[0], alone.point.z, atol=ROUNDING)

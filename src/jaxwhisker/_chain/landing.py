@@ -64,8 +64,12 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
 
 
 def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
-    """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium."""
+    """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium.
+
+    The flow of one lane of a batch costs as much as that of all: lanes wait until no other one is on its way.
+    """
     begins, before = march.task == Task.flow, march.pending
+    waits = any_lane(~begins & (march.task != Task.done))
     u = march.flow.u + march.direction * jnp.asarray(BEYOND)[march.flow.attempt]
 
     def landed_in() -> Landing:
@@ -78,7 +82,7 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         return landing._replace(state=keeps_places(problem, before.before, landing.state))
 
     nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))
-    landing = jax.lax.cond(any_lane(begins), landed_in, lambda: nowhere)
+    landing = jax.lax.cond(any_lane(begins) & ~waits, landed_in, lambda: nowhere)
     landed = march.replace(
         task=jnp.asarray(int(Task.arrive)),
         state=landing.state,
@@ -92,7 +96,7 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         (~landing.settled, flow_again(march)),
         otherwise=landed,
     )
-    return new, jnp.asarray(False), march.pending
+    return select(waits, march, new), jnp.asarray(False), march.pending
 
 
 def _snap(problem: ChainProblem, before: Node, state: ChainState) -> Node:
