@@ -14,7 +14,7 @@ CHANNELS = ("fx", "fy", "mz")
 NOISE = 0.01  # of the peaks
 FAR = 4.5  # standard errors: 99.999 %
 EXACT = 1e-6  # relative: parameters from exact signals
-DIFFERENCE = 1e-5  # step of central differences, relative to the parameter
+DIFFERENCE = 1e-5  # step of central differences
 SLOPE = 2e-6  # of the largest derivative, of signals that are good to 1e-10
 TRIALS = 36
 
@@ -112,10 +112,9 @@ def test_information_is_that_of_differences(name):
     near = np.min(np.abs(control[:, None] - events), axis=1) < 1e-3
     both = 0
     for k, (key, value) in enumerate(truth.items()):
-        step = DIFFERENCE * value
-        high, low = (jw.scan(build(**truth | {key: value + s}), control) for s in (step, -step))
+        high, low = (jw.scan(build(**truth | {key: value + s}), control) for s in (DIFFERENCE, -DIFFERENCE))
         for c, channel in enumerate(CHANNELS):
-            slope = np.asarray(getattr(high, channel) - getattr(low, channel))[:, 0] / (2 * step) / sigma[channel]
+            slope = np.asarray(getattr(high, channel) - getattr(low, channel))[:, 0] / (2 * DIFFERENCE) / sigma[channel]
             own = found.rates[:, c, k]
             used = ~near & (own != 0)
             both += np.sum(used & steps_with_two(name))
