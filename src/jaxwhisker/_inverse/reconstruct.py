@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.linear_algebra import inverse
@@ -375,6 +375,6 @@ def _sorted_signals(known: AnyInstrument, judgement: Judgement, drive: AnyDrive,
     return StepSignals(missing, touching, measured, noise, fitted, weight, pose, lean), significance
 
 
-def _where(whiskers: Bool[Array, " whiskers"], values: Float[Array, "whiskers *rest"], otherwise: Any) -> Array:
+def _where(whiskers: Bool[Array, " whiskers"], values: Shaped[Array, "whiskers *rest"], otherwise: Any) -> Array:
     """Values of some whiskers, and others elsewhere."""
     return jnp.where(jnp.expand_dims(whiskers, tuple(range(1, values.ndim))), values, otherwise)
