@@ -10,7 +10,8 @@ import pytest
 import jaxwhisker as jw
 
 TESTS = Path(__file__).parents[1]
-ELSEWHERE = {"explore", "read_columns"}  # the first waits for a browser, the other one uses NumPy alone
+# The first waits for a browser, the others read and write files, with NumPy alone.
+ELSEWHERE = {"explore", "read_columns", "load_control", "load_scene", "save_scene"}
 # Largest numbers of operations, with jax 0.10, in this order: later calls share what earlier ones compile. Fewer are
 # better; a new one costs users 20 ms. Of `identify`, one is compiled only if its programs come from the store.
 SCANS = {"import": 0, "scan": 2, "shapes": 0, "energy_balance": 4, "stored_energy": 0, "to_csv": 0, "to_dataframe": 0}

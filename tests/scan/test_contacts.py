@@ -72,7 +72,6 @@ def test_several_contacts_show_in_the_shape_of_fields():
         ("result", lambda result: jw.lateral_loss(result)),
         ("at", lambda result: jw.modes(result, 2)),
         ("start", lambda result: jw.simulate(heavy(), lambda t: 0.3 - 0.1 * t, duration=1.0, start=result)),
-        ("sensor", lambda result: jw.reconstruct(jw.to_dataframe(result), result.scene)),
         ("measured", lambda result: jw.reconstruct(result, jw.Sensor.of(result.scene))),
         ("measured", lambda result: jw.reconstruct(result.to_xarray(), jw.Sensor.of(result.scene))),
         ("sensor", lambda result: jw.fit_contour(jw.to_dataframe(result), result.scene)),
