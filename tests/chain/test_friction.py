@@ -12,10 +12,12 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.friction import (
     LIGHT,
     NEAR,
     is_light,
+    is_wedged,
     keeps_places,
     landed,
     lean_margin,
@@ -23,7 +25,9 @@ from jaxwhisker._chain.friction import (
     slip_rates,
     with_slips,
 )
+from jaxwhisker._chain.landing import loosened
 from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._path.continuation import Limits
 from jaxwhisker._scan.chain import problem_now
 
 MU = 0.4
@@ -154,3 +158,19 @@ def test_contacts_that_stick_on_keep_their_places():
     assert float(kept.friction.parameter[1]) == float(near.friction.parameter[1])
     slipping = contacts(slip=(1, 0), places=near.friction[1:])
     assert float(keeps_places(problem(), before, slipping).friction.parameter[0]) == float(near.friction.parameter[0])
+
+
+@pytest.mark.parametrize(
+    ("slip", "phase", "wedged"), [((0, 0), (2, 2), True), ((0, 1), (2, 2), False), ((0, 0), (2, 0), False)]
+)
+def test_a_whisker_is_wedged_between_two_contacts_that_stick(slip, phase, wedged):
+    assert bool(is_wedged(problem(), contacts(slip=slip, phase=phase))) == wedged
+
+
+def test_the_contact_that_leans_most_lets_a_wedged_whisker_loose():
+    own, state = problem(), contacts(slip=(0, 0))
+    z = Z.at[:, 1].set(jnp.array([0.1, -0.3]))  # the leans
+    march = ContinuationOfChain(own).start(jnp.zeros(1), Limits(*[jnp.zeros(())] * 3))
+    loose = loosened(own, march.replace(point=march.point._replace(z=z), state=state))
+    assert loose.state.friction.slip.tolist() == [0, -1] and int(loose.flow.tries) == 1
+    np.testing.assert_allclose(at(loose.point.z, loose.state).lean, [0.1, -np.arctan(MU)], rtol=EXACT)
