@@ -61,8 +61,9 @@ def ring_down(motion: RingDown, state: jw.State, shapes: int, steps: int) -> np.
 
 def sweep(motion: Sweep, shapes: int, steps: int) -> np.ndarray:
     """Support reactions at all samples but the first by `simulate`, (samples, 3)."""
+    ((x, y, radius),) = motion.scene.circles
     got = jw.simulate(
-        jw.Scene(ROD, jw.Circle(motion.scene.distance, motion.scene.radius)),
+        jw.Scene(ROD, jw.Circle(y - radius, radius, position=x)),
         np.array([motion.start, motion.stop]),
         motion.duration,
         steps=steps,
