@@ -145,7 +145,8 @@ def test_a_tip_rests_in_an_inner_corner(friction):
         ours, theirs = np.asarray(motion.contact_force), np.asarray(result.contact_force)
         np.testing.assert_allclose(ours[held], theirs[held], atol=SIGNALS * np.abs(theirs[held]).max())
     else:
-        assert np.all(motion.slip[held] == 0) and np.all(motion.friction_force[held] == 0)
+        assert motion.slip is not None and np.all(motion.slip[held] == 0)
+        assert motion.friction_force is not None and np.all(motion.friction_force[held] == 0)
 
 
 def test_whiskers_start_from_a_state_with_several_contacts():
