@@ -54,6 +54,8 @@ def calls(folder: Path) -> dict:
     return {
         "scan": scan,
         "shapes": lambda: jw.shapes(found["scan"], at=CONTROL[:1]),
+        "bending": lambda: jw.bending(found["scan"], [0.1, 0.3]),
+        "strain": lambda: jw.strain(found["scan"], [0.1, 0.3], 0.01),
         "energy_balance": lambda: str(jw.energy_balance(found["scan"])),
         "stored_energy": lambda: jw.stored_energy(FB, found["scan"], CONTROL),
         "to_csv": lambda: jw.to_csv(found["scan"], folder / "scan.csv"),

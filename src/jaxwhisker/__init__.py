@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from jaxwhisker._scan.export import to_csv, to_dataframe
     from jaxwhisker._scan.lateral import LateralStability, lateral_loss, lateral_stability
     from jaxwhisker._scan.shapes import Shapes, SpaceShapes, shapes
+    from jaxwhisker._scan.strain import Bending, bending, strain
     from jaxwhisker._space.deflect import SpaceDeflection
     from jaxwhisker._study.critical import critical_stiffness
     from jaxwhisker._study.study import study
@@ -69,6 +70,7 @@ __all__ = [
     "AbstractProfile",
     "AbstractRod",
     "Array",
+    "Bending",
     "BendingFit",
     "Box",
     "Circle",
@@ -144,6 +146,7 @@ __all__ = [
     "Whisker",
     "Whisking",
     "animate",
+    "bending",
     "critical_stiffness",
     "deflect",
     "design",
@@ -165,6 +168,7 @@ __all__ = [
     "shapes",
     "simulate",
     "stored_energy",
+    "strain",
     "study",
     "summary",
     "tactile_image",
@@ -206,6 +210,7 @@ _LATER = {
     "_scan.export": ("to_csv", "to_dataframe"),
     "_scan.lateral": ("LateralStability", "lateral_loss", "lateral_stability"),
     "_scan.shapes": ("Shapes", "SpaceShapes", "shapes"),
+    "_scan.strain": ("Bending", "bending", "strain"),
     "_space.deflect": ("SpaceDeflection",),
     "_study.critical": ("critical_stiffness",),
     "_study.study": ("study",),

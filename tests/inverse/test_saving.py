@@ -42,7 +42,7 @@ def results():
     made += [jw.identify(lambda force, c: (jw.Whisker(bending_stiffness=c), jw.PointForce(force)), {"c": 1.0}, BENT)]
     in_space = jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (0.0, 1.3, 0.2)))
     made += [scanned := jw.scan(in_space, np.linspace(0.75, -1.35, STEPS)), jw.reconstruct(scanned, in_space)]
-    made += [jw.fit_contour(made[-1], family=jw.Sphere), jw.shapes(scanned)]
+    made += [jw.fit_contour(made[-1], family=jw.Sphere), jw.shapes(scanned), jw.bending(scanned, [0.1])]
     model = jw.MeasurementModel(lambda x: jw.SpaceScene(jw.Whisker(), jw.Sphere(1.0, (x, 1.3, 0.2))), ("x",))
     made += [model([0.0], 0.4, model.contact([0.0], np.array([0.75, 0.4])))]
     made += [jw.deflect(jw.Whisker(), jw.SpaceForce(0.3, 0.0, 0.2))]
@@ -54,7 +54,7 @@ def results():
 
 TREES = {"Result", "Events", "Shapes", "EnergyBalance", "Reconstruction", "ProfileFit", "Deflection", "Modes"}
 TREES |= {"Simulation", "LateralStability", "SpaceResult", "SpaceDeflection", "SpaceReconstruction", "SurfaceFit"}
-TREES |= {"Measurement", "SpaceShapes", "ContactsReconstruction"}
+TREES |= {"Measurement", "SpaceShapes", "ContactsReconstruction", "Bending"}
 CLASSES = TREES | {"Fit", "BendingFit", "ContourFit", "Information", "Dataset", "Event", "LikelihoodProfile"}
 
 

@@ -81,6 +81,7 @@ OF_A_SCAN = {
     "spring_lengths": plot.spring_lengths,
     "spring_extensions": plot.spring_extensions,
     "phases": plot.phases,
+    "strain": lambda result: plot.strain(result, 0.01),
     "overview": plot.overview,
     "signal": lambda result: plot.signal(result, "fx"),
     "in_words": lambda result: plot.in_words(result, 0.0),

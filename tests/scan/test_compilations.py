@@ -14,8 +14,8 @@ TESTS = Path(__file__).parents[1]
 ELSEWHERE = {"explore", "read_columns", "load_control", "load_scene", "save_scene"}
 # Largest numbers of operations, with jax 0.10, in this order: later calls share what earlier ones compile. Fewer are
 # better; a new one costs users 20 ms. Of `identify`, one is compiled only if its programs come from the store.
-SCANS = {"import": 0, "scan": 2, "shapes": 0, "energy_balance": 4, "stored_energy": 0, "to_csv": 0, "to_dataframe": 0}
-SCANS |= {"lateral_stability": 0, "deflect": 0}
+SCANS = {"import": 0, "scan": 2, "shapes": 0, "bending": 0, "strain": 0, "energy_balance": 4, "stored_energy": 0}
+SCANS |= {"to_csv": 0, "to_dataframe": 0, "lateral_stability": 0, "deflect": 0}
 OTHERS = {"import": 0, "scan": 2, "animate": 27, "lateral_loss": 41, "reconstruct": 14, "identify": 2}
 OTHERS |= {"information": 0, "design": 2, "study": 1, "summary": 0, "critical_stiffness": 27, "modes": 0, "simulate": 2}
 OTHERS |= {"fit_profile": 13, "fit_contour": 39, "tactile_image": 4, "scan in space": 0}

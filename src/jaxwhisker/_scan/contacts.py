@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxwhisker._base import checks
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._scan.quantities import is_of_contacts
 from jaxwhisker._scan.springs import at_base
 from jaxwhisker._scan.state import FRICTION, State, base_of, material
 
@@ -41,6 +42,13 @@ def of_whisker(state: State, whisker: int) -> State:
     """The fields of one whisker, counted from 0."""
     at = (*[slice(None)] * (state.fx.ndim - 1), whisker)
     return jax.tree.map(lambda leaf: leaf[at], state)
+
+
+def with_axis_of_contacts(state: State) -> State:
+    """A state of whiskers that have one contact each, as one of those that may have several."""
+    fields = {name: getattr(state, name) for name in State.__dataclass_fields__}
+    own = {name: field[..., None] for name, field in fields.items() if is_of_contacts(name) and field is not None}
+    return State(**fields | own)
 
 
 def past_contacts(

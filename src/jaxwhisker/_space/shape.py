@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.quaternions import Vector
+from jaxwhisker._base.quaternions import Vector, inverse_rotation, turned
 from jaxwhisker._base.rotation import quaternion_of
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -109,3 +109,27 @@ def centre_line(whisker: Whisker, count: int, at: Any) -> tuple[Array, ...]:
     rest = onwards(end, whisker.length - arc, (zero, zero, zero), count - loaded, arc)
     line = contact + jnp.concatenate([jnp.stack(first[0], axis=-1), jnp.stack(rest[0], axis=-1)[1:]])
     return tuple(line.T)
+
+
+def bending_of(whisker: Whisker, at: Any, s: rod.Along) -> tuple[Array, Array]:
+    """Internal moments of one whisker in a state about d1, d2 and d3 at these arc lengths, and changes of curvature.
+
+    Both are zero beyond the contact.
+    """
+    section = space_section(whisker, 1.0, 1.0)
+    arc = jnp.where(at.phase == Phase.free, 0.0, at.contact_arc)
+    touches = arc > 0
+    # Integration steps end at equidistant points and at the places.
+    places = jnp.append(jnp.linspace(0.0, 1.0, LOADED + 1), jnp.clip(s / jnp.where(touches, arc, 1.0), 0.0, 1.0))
+    order = jnp.argsort(jax.lax.stop_gradient(places))
+    w, x, y, z = quaternion_of(at.base_rotation)
+    contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
+    start = tuple(jnp.stack([at.base_x, at.base_y, at.base_z]) - contact), (w, x, y, z)
+    load = SpaceLoad((-at.fx, -at.fy, -at.fz))
+    r, q = points(start, -arc, load, section, at=places[order], from_base=jnp.zeros_like(arc))
+    r, q = jax.tree.map(lambda leaf: leaf[jnp.argsort(order)[LOADED + 1 :]], (r, q))
+    moment = jnp.stack(turned(inverse_rotation(q), load.moment_at(r)), axis=-1)
+    moment = jnp.where((touches & (s < arc))[:, None], moment, 0.0)
+    about_tangent = 1.0 if section.excess is None else 1 + section.excess
+    compliance = jax.vmap(section.compliance)(s)[:, None] * jnp.stack([1.0, 1.0, about_tangent])
+    return moment, compliance * moment

@@ -9,6 +9,7 @@ same colour in all figures.
 from jaxwhisker._base.suggest import no_attribute
 from jaxwhisker._scan.quantities import DRAWN as QUANTITIES
 from jaxwhisker.plot.axes import COLOURS, CONTROL_AXIS, axis_label, control_axis, save
+from jaxwhisker.plot.bending_map import strain
 from jaxwhisker.plot.inverse import contour, fit, information
 from jaxwhisker.plot.phase_strips import phases
 from jaxwhisker.plot.signals import (
@@ -49,6 +50,7 @@ __all__ = [
     "signal",
     "spring_extensions",
     "spring_lengths",
+    "strain",
     "study",
     "tactile_image",
 ]
