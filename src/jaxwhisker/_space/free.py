@@ -44,6 +44,11 @@ def in_scene(outline: SpaceOutline, base: Placement) -> SpaceOutline:
     return SpaceOutline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
 
 
+def distances_of(surface: AbstractSurface, outline: SpaceOutline) -> Float[Array, " points"]:
+    """Distances of the points of a whisker, placed in the scene, from the surface."""
+    return jax.vmap(surface.plane_before)(outline.position)[0]
+
+
 def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, rolls: bool) -> Nearest:
     """The point of a whisker, placed in the scene, that is nearest to the surface.
 
@@ -62,12 +67,15 @@ def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, 
         cubic, t = at(place)
         return surface.plane_before(cubic.value(t))[0]
 
-    places, width = jnp.arange(INTERVALS + 1.0), 1.0
-    distances = jax.vmap(surface.plane_before)(outline.position)[0]
-    for _ in range(ROUNDS):
-        middle = places[jnp.argmin(distances)]
+    def finer(_, found):
+        middle, width, _, _ = found
         places = jnp.clip(middle + width * np.linspace(-1.0, 1.0, FINER + 1), 0.0, INTERVALS)
-        distances, width = jax.vmap(off)(places), 2 * width / FINER
+        distances = jax.vmap(off)(places)
+        return places[jnp.argmin(distances)], 2 * width / FINER, places, distances
+
+    middle, unknown = jnp.argmin(distances_of(surface, outline)).astype(float), jnp.zeros(FINER + 1)
+    # A loop, because users wait for what is compiled.
+    _, width, places, distances = jax.lax.fori_loop(0, ROUNDS, finer, (middle, jnp.ones(()), unknown, unknown))
     # A parabola through the least distance and its neighbours.
     k = jnp.clip(jnp.argmin(distances), 1, FINER - 1)
     before, here, after = distances[k - 1], distances[k], distances[k + 1]

@@ -13,7 +13,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._space.contact import POINT, spread
-from jaxwhisker._space.free import Nearest, in_scene, nearest
+from jaxwhisker._space.free import INTERVALS, Nearest, distances_of, in_scene, nearest
 from jaxwhisker._space.linear import Linear
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import SpaceProblem, of_each
@@ -90,10 +90,11 @@ def bases_at_rest(problem: SpaceProblem, u: Scalar) -> Placement:
 
 
 def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
-    """Least distance of the unloaded whiskers from the object at a control."""
+    """A lower bound of the distance of the unloaded whiskers from the object at a control."""
 
     def distance(body, placement, outline):
-        return nearest(problem.surface, in_scene(outline, placement), body.length, rolls=problem.rolls).distance
+        # No place is farther from these points than half of the interval between them.
+        return jnp.min(distances_of(problem.surface, in_scene(outline, placement))) - body.length / (2 * INTERVALS)
 
     return jnp.min(of_each(problem, distance, bases_at_rest(problem, u), problem.outline))
 
