@@ -85,7 +85,9 @@ def least_gap_of_lines(profile, depths):
         points = jnp.stack([x, jnp.full(4, CENTRE[1] - RADIUS + depth)], axis=1)
         along = jnp.tile(jnp.array([1.0, 0.0]), (4, 1))
         cells = between(points, along, jnp.diff(x)[:, None])
-        return clearance.least_gap(profile, cells, jnp.asarray(0.0)), clearance.least_gap(profile, cells)
+        return clearance.least_gap(profile, cells, jnp.asarray(0.0)), clearance.least_gap(
+            profile, cells, jnp.asarray(profile.lowest(), dtype=float), jnp.asarray(False)
+        )
 
     return jax.vmap(least)(depths)
 

@@ -21,11 +21,15 @@ def arc(curvature):
     return 0.1, 0.7, 1.8, curvature
 
 
+def of_another(profile, own):
+    """Whether a shaft that touches another object meets this one."""
+    lowest = jnp.asarray(profile.lowest(), dtype=float)
+    return second_contact.meets(profile, own, jnp.asarray(True), lowest, jnp.asarray(False))
+
+
 @Program
 def meets_circles(own, distance, radius, position):
-    return jax.vmap(lambda *numbers: second_contact.meets(jw.Circle(*numbers), own, jnp.asarray(True)))(
-        distance, radius, position
-    )
+    return jax.vmap(lambda *numbers: of_another(jw.Circle(*numbers), own))(distance, radius, position)
 
 
 def circles_meet(curvature, s, side, gap, radius):
@@ -52,7 +56,7 @@ def test_a_shaft_meets_a_circle_that_it_dips_into(curvature):
 
 @Program
 def meets_wedges(own, vertices):
-    return jax.vmap(lambda one: second_contact.meets(jw.Polygon(one), own, jnp.asarray(True)))(vertices)
+    return jax.vmap(lambda one: of_another(jw.Polygon(one), own))(vertices)
 
 
 @pytest.mark.parametrize("curvature", [0.0, -1.3])

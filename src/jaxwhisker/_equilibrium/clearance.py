@@ -109,23 +109,26 @@ def _points(cells: Cubic) -> Float[Array, "points 2"]:
 
 
 def least_gap(
-    profile: AbstractProfile, cells: Cubic, parameter: Scalar | None = None, *, enough: float = -jnp.inf
+    profile: AbstractProfile,
+    cells: Cubic,
+    parameter: Scalar,
+    here: Bool[Array, ""] | None = None,
+    *,
+    enough: float = -jnp.inf,
 ) -> Float[Array, ""]:
     """The least gap of a shaft whose cells follow one another, exact only if it is below `-DEPTH`; no derivatives.
 
     A gap below `enough` ends the search.
 
-    The shaft touches the object at this parameter, or is closest to it there. Without a parameter it does not touch it.
+    The shaft touches the object at this parameter, or is closest to it there. If `here` is false, it does not touch it.
     """
-    profile, cells, parameter = jax.lax.stop_gradient((profile, cells, parameter))
+    profile, cells, parameter, here = jax.lax.stop_gradient((profile, cells, parameter, here))
     points = _points(cells)
-    if parameter is None:
-        near = jnp.asarray(profile.lowest(), dtype=float)
+    searched = ~clear_of_tangent(profile, cells, parameter)
+    if here is not None:
         above = points[:, 1] > profile.vertex()[1]
-        searched = above[:-1] | above[1:]
-    else:
-        near, searched = parameter, ~clear_of_tangent(profile, cells, parameter)
-    gap, normal = _gaps(profile, points, near, jnp.append(searched, False) | jnp.append(False, searched))
+        searched = jnp.where(here, searched, above[:-1] | above[1:])
+    gap, normal = _gaps(profile, points, parameter, jnp.append(searched, False) | jnp.append(False, searched))
     zero, bend = jnp.zeros(gap.size - 1), jnp.linalg.norm(cells.arriving - cells.leaving, axis=1) / 2
     start = _GapPlace(zero, jnp.where(searched, gap[:-1], jnp.inf), jnp.sum(cells.leaving * normal[:-1], axis=1))
     end = _GapPlace(zero + 1, jnp.where(searched, gap[1:], jnp.inf), jnp.sum(cells.arriving * normal[1:], axis=1))
@@ -143,7 +146,7 @@ def least_gap(
         # Tangents alone might always cut off the same side.
         t = jnp.where(cuts % 2 == 1, (section.start.t + section.end.t) / 2, t)
         cell, t = jax.tree.map(lambda leaf: leaf[k], (cells, t))
-        gap, normal = _gaps(profile, cell.value(t)[None], near, jnp.ones(1, bool))
+        gap, normal = _gaps(profile, cell.value(t)[None], parameter, jnp.ones(1, bool))
         place = _GapPlace(t, gap[0], jnp.sum(cell.rate(t) * normal[0]))
 
         def renewed(places: _GapPlace, renew: Bool[Array, ""]) -> _GapPlace:

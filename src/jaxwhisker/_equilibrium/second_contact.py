@@ -14,36 +14,34 @@ from jaxwhisker._equilibrium.shaft import Shaft, cells_of
 from jaxwhisker._model.profile import AbstractProfile
 
 PARTS = 4  # of each cell of a shaft, which are almost straight
+Truth = Bool[Array, ""]
 CHORD = 0.01  # more than the distance between a shaft and its chords
 
 
 def meets(
-    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+    profile: AbstractProfile, own: Shaft, touches: Truth, parameter: Scalar, here: Truth | None = None
 ) -> Bool[Array, ""]:
     """Whether a shaft dips into an object by more than `DEPTH`, without derivatives; false unless it `touches` any.
 
-    The shaft touches this object at this parameter, or does not touch it.
+    The shaft touches this object at this parameter; if `here` is false, it touches another one.
     """
-    return touches & (least_gap(profile, _divided(cells_of(own)), parameter, enough=-DEPTH) < -DEPTH)
+    return touches & (least_gap(profile, _divided(cells_of(own)), parameter, here, enough=-DEPTH) < -DEPTH)
 
 
 def dips(
-    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+    profile: AbstractProfile, own: Shaft, touches: Truth, parameter: Scalar, here: Truth | None = None
 ) -> Bool[Array, ""]:
     """Whether a shaft crosses the tangent at its contact, which it does if it `meets` the object."""
-    if parameter is None:
-        return touches
-    return touches & ~jnp.all(clear_of_tangent(profile, cells_of(own), parameter))
+    crosses = ~jnp.all(clear_of_tangent(profile, cells_of(own), parameter))
+    return touches & (crosses if here is None else crosses | ~here)
 
 
 def may_meet(
-    profile: AbstractProfile, own: Shaft, touches: Bool[Array, ""], parameter: Scalar | None = None
+    profile: AbstractProfile, own: Shaft, touches: Truth, parameter: Scalar, here: Truth | None = None
 ) -> Bool[Array, ""]:
     """Whether a shaft crosses tangents near its nearest points, which it does if it `meets` the object."""
-    if profile.faces() is not None:
-        return touches
-    near = jnp.asarray(profile.lowest(), dtype=float) if parameter is None else parameter
-    return touches & ~clear_of_tangents(profile, cells_of(own), near)
+    del here
+    return touches if profile.faces() is not None else touches & ~clear_of_tangents(profile, cells_of(own), parameter)
 
 
 def _divided(cells: Cubic) -> Cubic:

@@ -5,13 +5,14 @@ depends on the caller's control no more than stability and snaps do. Later state
 apart again: the missing force decides what they are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
@@ -24,6 +25,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.second_contact import dips, may_meet, meets, passes
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
+from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path, Status, cut
 from jaxwhisker._scan.steps import interpolate
@@ -85,32 +87,67 @@ def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -
     return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
 
 
-def _status(meets: Callable, problem: Problem, point: Point, state: ContactState, kinds: Kinds) -> Int[Array, ""]:
+class _Seen(NamedTuple):
+    """A state that is examined."""
+
+    shafts: Shaft
+    touches: Bool[Array, " whiskers"]
+    number: Int[Array, " whiskers"] | None  # of the object that is touched; None with a single object
+    changed_sides: Bool[Array, " whiskers"] | None  # whether it has passed right through another object
+    cross: Bool[Array, ""] | None  # None unless that is asked
+
+
+def _seen(problem: Problem, path: Path, kinds: Kinds, place: Scalar) -> _Seen:
+    """The state at a place of the path."""
+    index, u = _control_at(path, place)
+    state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
+    point = interpolate(path, index, u)
+    shafts = _shafts(problem, point, state, kinds)
+    cross = _any_cross(problem, point, shafts) if "crossing" in kinds else None
+    number, sides = problem.profile.object_of(state.piece), state.sides
+    if number is None or sides is None:
+        return _Seen(shafts, state.touches, None, None, cross)
+
+    def changed(one: AbstractProfile, k: Int[Array, ""], standing: Array) -> Bool[Array, " whiskers"]:
+        return (number != k) & (jax.vmap(partial(passes, one))(shafts) * standing < 0)
+
+    each = [jax.vmap(changed)(some, k, sides[k]) for k, some in _of_one_kind(problem.profile.objects)]
+    return _Seen(shafts, state.touches, number, jnp.any(jnp.concatenate(each), axis=0), cross)
+
+
+def _status(meets: Callable, profile: AbstractProfile, kinds: Kinds, seen: _Seen) -> Int[Array, ""]:
     """Status of a state: what is detected in it, if `meets` tells whether a shaft dips into an object."""
-    shafts, status = _shafts(problem, point, state, kinds), jnp.asarray(int(Status.ok))
-    if "crossing" in kinds:
-        status = jnp.where(_any_cross(problem, point, shafts), Status.crossing, status)
+    status = jnp.asarray(int(Status.ok)) if seen.cross is None else jnp.where(seen.cross, Status.crossing, Status.ok)
     if "second_contact" in kinds:
-        again = _at_objects(meets, problem, state, shafts)
-        status = jnp.where(jnp.any(again), Status.second_contact, status)
+        status = jnp.where(jnp.any(_at_objects(meets, profile, seen)), Status.second_contact, status)
     return status
 
 
-def _at_objects(meets: Callable, problem: Problem, state: ContactState, shafts: Shaft) -> Bool[Array, " whiskers"]:
+def _at_objects(meets: Callable, profile: AbstractProfile, seen: _Seen) -> Bool[Array, " whiskers"]:
     """Whether touching whiskers meet their object in a second place, or another object, according to `meets`."""
-    number, touches = problem.profile.object_of(state.piece), state.touches
-    if number is None or state.sides is None:
-        return jax.vmap(lambda own, touches: meets(problem.profile, own, touches, own.parameter))(shafts, touches)
-    found = jnp.zeros_like(number, bool)
-    for k, one in enumerate(problem.profile.objects):
+    shafts, touches, number, changed, _ = seen
+    if number is None or changed is None:
+        return jax.vmap(lambda own, touches: meets(profile, own, touches, own.parameter))(shafts, touches)
+
+    def at(one: AbstractProfile, k: Int[Array, ""]) -> Bool[Array, " whiskers"]:
         # The parameter of another object's contact may mean nothing on this one.
         own, lowest = number == k, jnp.asarray(one.lowest(), dtype=float)
-        parameter = jnp.where(own, shafts.parameter, lowest)
-        again = jax.vmap(partial(meets, one))(shafts, touches & own, parameter)
-        other = jax.vmap(partial(meets, one))(shafts, touches & ~own)
-        side = jax.vmap(partial(passes, one))(shafts)
-        found |= again | other | (touches & ~own & (side * state.sides[k] < 0))
-    return found
+        return jax.vmap(partial(meets, one))(shafts, touches, jnp.where(own, shafts.parameter, lowest), own)
+
+    each = [jax.vmap(at)(some, k) for k, some in _of_one_kind(profile.objects)]
+    return jnp.any(jnp.concatenate(each), axis=0) | (touches & changed)
+
+
+def _of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[Int[np.ndarray, " members"], AbstractProfile]]:
+    """The objects of each kind, stacked, and their numbers, because what is done with a kind is compiled once."""
+    kinds: dict[Any, list[int]] = {}
+    for k, one in enumerate(objects):
+        leaves, structure = jax.tree.flatten(one)
+        kinds.setdefault((structure, *map(np.shape, leaves)), []).append(k)
+    return [
+        (np.array(members), jax.tree.map(lambda *leaves: jnp.stack(leaves), *(objects[k] for k in members)))
+        for members in kinds.values()
+    ]
 
 
 def _any_cross(problem: Problem, point: Point, shafts: Shaft) -> Bool[Array, ""]:
@@ -137,10 +174,11 @@ class _Found(NamedTuple):
 def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
     ok = jnp.asarray(int(Status.ok))
 
-    def status_at(meets: Callable, place: Scalar) -> Int[Array, ""]:
-        index, u = _control_at(path, place)
-        state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
-        return _status(meets, problem, interpolate(path, index, u), state, kinds)
+    def status_of(meets: Callable, seen: _Seen) -> Int[Array, ""]:
+        return _status(meets, problem.profile, kinds, seen)
+
+    def some(seen: _Seen, chosen: Int[Array, "*chosen"]) -> _Seen:
+        return jax.tree.map(lambda leaf: leaf[chosen], seen)
 
     def searching(found: _Found) -> Bool[Array, ""]:
         return (found.place < found.end) & ((found.status == ok) | (found.stride > finest))
@@ -148,20 +186,21 @@ def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
     def examine(found: _Found) -> _Found:
         places = jnp.minimum(found.place + found.stride * jnp.arange(1, BATCH + 1), found.end)
         new = jnp.append(True, places[:-1] < found.end)
+        seen = jax.vmap(partial(_seen, problem, path, kinds))(places)
 
         def sift(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             todo, status = carry
             (chosen,) = jnp.nonzero(todo, size=CLOSER, fill_value=BATCH)
-            sifted = jax.vmap(partial(status_at, may_meet))(places[chosen])
+            sifted = jax.vmap(partial(status_of, may_meet))(some(seen, chosen))
             return todo.at[chosen].set(False), status.at[chosen].set(sifted)
 
         def look(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             status, _ = carry
             first = jnp.argmax(status != ok)
-            there = status_at(meets, places[first])
+            there = status_of(meets, some(seen, first))
             return status.at[first].set(there), there
 
-        status = jnp.where(new, jax.vmap(partial(status_at, dips))(places), ok)
+        status = jnp.where(new, jax.vmap(partial(status_of, dips))(seen), ok)
         _, status = jax.lax.while_loop(lambda carry: jnp.any(carry[0]), sift, (status != ok, status))
         status, first_status = jax.lax.while_loop(
             lambda carry: jnp.any(carry[0] != ok) & (carry[1] == ok), look, (status, ok)

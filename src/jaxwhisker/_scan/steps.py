@@ -21,30 +21,29 @@ TRAVEL_NOISE = 1e-12  # relative to the length of the path: travels that differ 
 
 def interpolate(path: Path, index: Int[Array, ""], u: Scalar) -> Point:
     """The point of the path at a control between a node and the next one: cubic in arc length."""
-    here = jax.tree.map(lambda leaf: leaf[index], path.nodes)
-    there = jax.tree.map(lambda leaf: leaf[jnp.minimum(index + 1, path.count - 1)], path.nodes)
-    end = Point(there.z_before, there.point.u)
-    scale = scale_of(here.point.z)
-    chord = Point(end.z - here.point.z, end.u - here.point.u)
-    length = dot(here.leaving, chord, scale)
+    nodes, after = path.nodes, jnp.minimum(index + 1, path.count - 1)
+    start, leaving = jax.tree.map(lambda leaf: leaf[index], (nodes.point, nodes.leaving))
+    end, arriving = jax.tree.map(lambda leaf: leaf[after], (Point(nodes.z_before, nodes.point.u), nodes.arriving))
+    scale = scale_of(start.z)
+    length = dot(leaving, Point(end.z - start.z, end.u - start.u), scale)
     apart = length > 0
     length = jnp.where(apart, length, 1.0)
-    into = dot(here.leaving, there.arriving, scale)
+    into = dot(leaving, arriving, scale)
     into = jnp.where(into > 0, into, 1.0)
 
-    def cubic(start, stop, leaving, arriving):
-        return Cubic(start, stop, leaving * length, arriving * length / into)
+    def cubic(first, last, leaving, arriving):
+        return Cubic(first, last, leaving * length, arriving * length / into)
 
-    z_at, u_at = map(cubic, here.point, end, here.leaving, there.arriving)
+    z_at, u_at = map(cubic, start, end, leaving, arriving)
 
     def towards(_, t):
         slope = u_at.rate(t)
         return jnp.clip(t - (u_at.value(t) - u) / jnp.where(slope == 0, 1.0, slope), 0.0, 1.0)
 
-    span = end.u - here.point.u
-    t = jnp.clip((u - here.point.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
+    span = end.u - start.u
+    t = jnp.clip((u - start.u) / jnp.where(span == 0, 1.0, span), 0.0, 1.0)
     t = jax.lax.fori_loop(0, 6, towards, t)
-    return Point(jnp.where(apart, z_at.value(t), here.point.z), u)
+    return Point(jnp.where(apart, z_at.value(t), start.z), u)
 
 
 def is_near(z: Contacts, guess: Contacts) -> Bool[Array, " steps"]:
