@@ -9,13 +9,14 @@ import math
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 
-TERMS = 10  # of power series: exact to rounding for angles below 1 rad, with two derivatives
-NEAR = 1.0  # square of the angle (rad) below which they are used
-ARC_TERMS, ARC_NEAR = 16, 0.05  # the same for the arc tangent, and the square of its argument
+TERMS = 7  # of power series: exact to rounding for angles below 0.5 rad, with two derivatives
+NEAR = 0.25  # square of the angle (rad) below which they are used
+ARC_TERMS, ARC_NEAR = 10, 0.01  # the same for the arc tangent, and the square of its argument
 
 
 def cross_matrix(vector: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
@@ -56,7 +57,8 @@ def rotation_vector(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
     size = jnp.sum(half**2)
     near = size < ARC_NEAR * w**2
     ratio = jnp.where(near, size, 0.0) / jnp.where(near, w, 1.0) ** 2
-    series = _power_series(ratio, [(-1) ** k / (2 * k + 1) for k in range(ARC_TERMS)]) / jnp.where(near, w, 1.0)
+    arctangent = np.array([(-1) ** k / (2 * k + 1) for k in range(ARC_TERMS)])
+    series = _power_series(ratio, arctangent) / jnp.where(near, w, 1.0)
     sine = jnp.sqrt(jnp.where(near, 1.0, size))
     return 2 * jnp.where(near, series, jnp.arctan2(sine, jnp.where(near, 1.0, w)) / sine) * half
 
@@ -93,15 +95,14 @@ def _coefficients(vector: Float[Array, "3"]) -> tuple[Scalar, Scalar, Scalar]:
     small, large = jnp.where(near, square, 0.0), jnp.where(near, 1.0, square)
     angle = jnp.sqrt(large)
     far = jnp.sin(angle) / angle, (1 - jnp.cos(angle)) / large, (angle - jnp.sin(angle)) / (large * angle)
-    series = (
-        _power_series(small, [(-1) ** k / math.factorial(2 * k + first) for k in range(TERMS)]) for first in (1, 2, 3)
-    )
-    first, second, third = (jnp.where(near, *both) for both in zip(series, far, strict=True))
+    # All three at once: users wait for the operations to be compiled.
+    each = [[(-1) ** k / math.factorial(2 * k + first) for first in (1, 2, 3)] for k in range(TERMS)]
+    first, second, third = jnp.where(near, _power_series(small, np.array(each)), jnp.stack(far))
     return first, second, third
 
 
-def _power_series(x: Scalar, coefficients: list[float]) -> Scalar:
-    total = jnp.zeros_like(x)
-    for coefficient in reversed(coefficients):
+def _power_series(x: Scalar, coefficients: Float[np.ndarray, "terms *series"]) -> Any:
+    total = jnp.asarray(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
         total = total * x + coefficient
     return total
