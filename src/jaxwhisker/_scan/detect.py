@@ -87,7 +87,7 @@ def _shafts(problem: Problem, point: Point, state: ContactState, kinds: Kinds) -
     return shafts._replace(base=shafts.base._replace(x=at.x, y=at.y))
 
 
-class _Seen(NamedTuple):
+class _Examined(NamedTuple):
     """A state that is examined."""
 
     shafts: Shaft
@@ -97,7 +97,7 @@ class _Seen(NamedTuple):
     cross: Bool[Array, ""] | None  # None unless that is asked
 
 
-def _seen(problem: Problem, path: Path, kinds: Kinds, place: Scalar) -> _Seen:
+def _examined(problem: Problem, path: Path, kinds: Kinds, place: Scalar) -> _Examined:
     """The state at a place of the path."""
     index, u = _control_at(path, place)
     state = jax.tree.map(lambda leaf: leaf[index], path.nodes.state)
@@ -106,16 +106,16 @@ def _seen(problem: Problem, path: Path, kinds: Kinds, place: Scalar) -> _Seen:
     cross = _any_cross(problem, point, shafts) if "crossing" in kinds else None
     number, sides = problem.profile.object_of(state.piece), state.sides
     if number is None or sides is None:
-        return _Seen(shafts, state.touches, None, None, cross)
+        return _Examined(shafts, state.touches, None, None, cross)
 
     def changed(one: AbstractProfile, k: Int[Array, ""], standing: Array) -> Bool[Array, " whiskers"]:
         return (number != k) & (jax.vmap(partial(passes, one))(shafts) * standing < 0)
 
     each = [jax.vmap(changed)(some, k, sides[k]) for k, some in _of_one_kind(problem.profile.objects)]
-    return _Seen(shafts, state.touches, number, jnp.any(jnp.concatenate(each), axis=0), cross)
+    return _Examined(shafts, state.touches, number, jnp.any(jnp.concatenate(each), axis=0), cross)
 
 
-def _status(meets: Callable, profile: AbstractProfile, kinds: Kinds, seen: _Seen) -> Int[Array, ""]:
+def _status(meets: Callable, profile: AbstractProfile, kinds: Kinds, seen: _Examined) -> Int[Array, ""]:
     """Status of a state: what is detected in it, if `meets` tells whether a shaft dips into an object."""
     status = jnp.asarray(int(Status.ok)) if seen.cross is None else jnp.where(seen.cross, Status.crossing, Status.ok)
     if "second_contact" in kinds:
@@ -123,7 +123,7 @@ def _status(meets: Callable, profile: AbstractProfile, kinds: Kinds, seen: _Seen
     return status
 
 
-def _at_objects(meets: Callable, profile: AbstractProfile, seen: _Seen) -> Bool[Array, " whiskers"]:
+def _at_objects(meets: Callable, profile: AbstractProfile, seen: _Examined) -> Bool[Array, " whiskers"]:
     """Whether touching whiskers meet their object in a second place, or another object, according to `meets`."""
     shafts, touches, number, changed, _ = seen
     if number is None or changed is None:
@@ -174,10 +174,10 @@ class _Found(NamedTuple):
 def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
     ok = jnp.asarray(int(Status.ok))
 
-    def status_of(meets: Callable, seen: _Seen) -> Int[Array, ""]:
+    def status_of(meets: Callable, seen: _Examined) -> Int[Array, ""]:
         return _status(meets, problem.profile, kinds, seen)
 
-    def some(seen: _Seen, chosen: Int[Array, "*chosen"]) -> _Seen:
+    def some(seen: _Examined, chosen: Int[Array, "*chosen"]) -> _Examined:
         return jax.tree.map(lambda leaf: leaf[chosen], seen)
 
     def searching(found: _Found) -> Bool[Array, ""]:
@@ -186,7 +186,7 @@ def _search(problem: Problem, path: Path, kinds: Kinds) -> _Found:
     def examine(found: _Found) -> _Found:
         places = jnp.minimum(found.place + found.stride * jnp.arange(1, BATCH + 1), found.end)
         new = jnp.append(True, places[:-1] < found.end)
-        seen = jax.vmap(partial(_seen, problem, path, kinds))(places)
+        seen = jax.vmap(partial(_examined, problem, path, kinds))(places)
 
         def sift(carry: tuple[Array, Array]) -> tuple[Array, Array]:
             todo, status = carry

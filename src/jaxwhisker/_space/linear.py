@@ -88,33 +88,34 @@ def linearise(
     directions = jnp.stack([*directions_of(z, frame, curvature, rolls=problem.rolls), *tractions], axis=1)
     correction = step_of(-off * out, -lean * out - stretch * z[AHEAD])
 
-    def in_rows(base, drive, roll):
-        inside = in_drive(base, drive, body.mount, roll)
+    def based(z):
+        return base_of(body, surface, problem.rod, z, phase, traction), z[ROLL]
+
+    def in_rows(based, drive):
+        inside = in_drive(based[0], drive, body.mount, based[1])
         return (inside.pose[:rows], inside.load[:rows]), inside.upright
 
-    def values(step):
-        at = z + step
-        base = base_of(body, surface, problem.rod, at, phase, traction)
-        both, upright = in_rows(base, drive, at[ROLL])
-        return both, (both, base, upright)
-
-    _, (pose_by, load_by), (value, base, upright) = jax.vmap(
-        lambda direction: jax.jvp(values, (jnp.zeros(UNKNOWNS),), (direction,), has_aux=True),
-        in_axes=1,
-        out_axes=(None, -1, None),
-    )(jnp.concatenate([directions, correction[:, None]], axis=1))
-    _, (pose_by_u, load_by_u) = jax.jvp(lambda drive: in_rows(base, drive, z[ROLL])[0], (drive,), (rate,))
-    pose, load = (part + by[:, -1] for part, by in zip(value, (pose_by, load_by), strict=True))
+    # Along the directions, the base moves, and along the control the drive: one program for both.
+    ways = jnp.concatenate([directions, correction[:, None]], axis=1)
+    at, at_by = jax.vmap(lambda way: jax.jvp(based, (z,), (way,)), in_axes=1, out_axes=(None, 0))(ways)
+    moves = (
+        jax.tree.map(lambda by: jnp.append(by, jnp.zeros_like(by[:1]), axis=0), at_by),
+        jax.tree.map(lambda by: jnp.zeros((ways.shape[1] + 1, *by.shape)).at[-1].set(by), rate),
+    )
+    value, (pose_by, load_by), upright = jax.vmap(
+        lambda at_by, rate: jax.jvp(in_rows, (at, drive), (at_by, rate), has_aux=True), out_axes=(None, -1, None)
+    )(*moves)
+    pose, load = (part + by[:, -2] for part, by in zip(value, (pose_by, load_by), strict=True))
     missed = jnp.max(jnp.abs(jnp.stack([off, lean, stretch])))
     return Linear(
         correction,
         directions,
         pose,
         load,
-        pose_by[:, :-1],
-        load_by[:, :-1],
-        pose_by_u,
-        load_by_u,
+        pose_by[:, :-2],
+        load_by[:, :-2],
+        pose_by[:, -1],
+        load_by[:, -1],
         jnp.where(upright & (z[SLACK] < body.length), missed, jnp.inf),
         frame,
         jnp.sum(curvature[:, :, None] * directions[None, POINT], axis=1),
