@@ -138,7 +138,7 @@ def _at_objects(meets: Callable, profile: AbstractProfile, seen: _Examined) -> B
     return jnp.any(jnp.concatenate(each), axis=0) | (touches & changed)
 
 
-def _of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[Int[np.ndarray, " members"], AbstractProfile]]:
+def _of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[Any, AbstractProfile]]:
     """The objects of each kind, stacked, and their numbers, because what is done with a kind is compiled once."""
     kinds: dict[Any, list[int]] = {}
     for k, one in enumerate(objects):
