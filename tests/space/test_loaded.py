@@ -29,7 +29,7 @@ def test_stretches_between_forces():
     whisker = jw.Whisker(2.0)
     rods = loaded.loaded_in_space(whisker, (SpaceForce(1.0, 0.0, 0.0, 0.5), SpaceForce(0.0, 0.0, 1.0, 1.5)))
     np.testing.assert_allclose(rods.position, [0.75, 0.25])
-    found = loaded.walk(jnp.zeros(3), rods, 0.5, np.array([0.0, 0.5, 1.0]), 4)
+    found = loaded.walked(jnp.zeros(3), rods, 0.5, np.array([0.0, 0.5, 1.0]), 4)
     np.testing.assert_allclose(found.s, [1.0, 0.875, 0.75, 0.75, 0.5, 0.25, 0.25, 0.125, 0.0])
     np.testing.assert_allclose(found.loads.force[2], [0, 0, 0, 2, 2, 2, 2, 2, 2])
     np.testing.assert_allclose(found.loads.force[0], [0, 0, 0, 0, 0, 0, 2, 2, 2])
@@ -42,8 +42,7 @@ def test_the_second_variation_is_that_of_the_energy():
     section = SpaceSection(1.3, 0.6, (0.4, -0.7, 0.9))
     rods = loaded.LoadedInSpace(rods.force, rods.position, section, rods.unbent, rods.free_beyond)
     nodes, weights = gauss(20)
-    found = loaded.walk(jnp.array([0.3, -0.2, 0.5]), rods, 1.0, np.concatenate([[0.0], nodes, [1.0]]), 4)
-    weights = np.concatenate([[0.0], weights, [0.0]])
+    found = loaded.walked(jnp.array([0.3, -0.2, 0.5]), rods, 1.0, nodes, 4)
     form = loaded.second_variation(rods, found, jnp.asarray(weights))
     coefficients = np.random.default_rng(0).normal(size=(loaded.MODES, 3))
 

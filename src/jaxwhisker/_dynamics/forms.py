@@ -80,8 +80,9 @@ def forms_of(body: WhiskerAtObject, at: Equilibrium, line: Centreline, masses: M
         each = jax.vmap(lambda spring, state: _spring_stiffness(spring, body.laws, state, drive))
         stiffness += quadratic_of(moves.ends, each(line.springs, line.ends))
         base = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
-        lower = held_by.springs._replace(share=jnp.where(held_by.springs.at > 0, 0.0, held_by.springs.share))
-        below = jnp.sum(jax.vmap(lambda spring: _spring_stiffness(spring, body.laws, base, drive))(lower), axis=0)
+        below = jnp.sum(
+            jax.vmap(lambda spring: _spring_stiffness(spring, body.laws, base, drive))(held_by.springs.below), axis=0
+        )
         if held_by.tissue is not None:
             tissue, starts = held_by.tissue, jnp.cumsum(line.lengths) - line.lengths
             cos = tissue.cos * drive.cos - tissue.sin * drive.sin

@@ -1,6 +1,6 @@
 """The line of a whisker in equilibrium: its direction, and the force in it, at the Gauss points of its elements."""
 
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,12 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import POINTS, node_arcs
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of
 from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past, to_next
+from jaxwhisker._model.motion import Pose
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.applied_loads import ScaledLineLoad, density_of
+from jaxwhisker._rod.walk import Order, in_order, pressed, walk
+from jaxwhisker._scan.applied_loads import ScaledLineLoad, density_of, ends_of_lines
+from jaxwhisker._scan.springs import at_base
 
-Tree = TypeVar("Tree")
 AT = np.concatenate([[0.0], POINTS, [1.0]])
 
 
@@ -61,16 +63,18 @@ class Centreline(NamedTuple):
 
 
 class ElementEnds(NamedTuple):
-    """Arc lengths at which the elements of a whisker end, and the numbers of elements that end at certain places."""
+    """Arc lengths at which the elements of a whisker end, from its base to its tip."""
 
-    arcs: Float[Array, " elements"]
+    order: Order  # at loads, at the ends of line loads, at springs on the shaft, where the rest is split, and at breaks
     contact: Scalar  # number of the element that ends at the contact
-    loads: Int[Array | np.ndarray, " loads"]  # at loads and at the ends of line loads
-    springs: Int[Array | np.ndarray, " springs"]  # at springs on the shaft
 
-    def spread(self, tree: Tree, elements: Int[Array | np.ndarray, " places"]) -> Tree:
-        """What is known at the ends of some elements, as fields of all elements; zero for the others."""
-        return jax.tree.map(lambda leaf: jnp.zeros(self.arcs.size, leaf.dtype).at[elements].set(leaf), tree)
+    @property
+    def arcs(self) -> Float[Array, " elements"]:
+        """The arc lengths."""
+        return self.order.at
+
+
+LOADS, SPRINGS, SPLITS = 0, 2, 3  # kinds of ends with fields: see `ElementEnds.order`
 
 
 def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, breaks: rod.Along | None) -> ElementEnds:
@@ -79,24 +83,19 @@ def ends_of(body: WhiskerAtObject, at: Equilibrium, loads: DeadLoads | None, bre
     A whisker without tangential contact is split anywhere instead. Whiskers that are not uniform are split twice more:
     the closer to the tip of a cone, the shorter its elements must be.
     """
-    at_loads = jnp.zeros(0)
+    at_loads = of_lines = jnp.zeros(0)
     if loads is not None:
-        ends = [end for line in loads.lines for end in (line.start, line.stop)]
-        at_loads = jnp.concatenate([loads.position, *(jnp.reshape(end, 1) for end in ends)])
+        at_loads, of_lines = loads.position, ends_of_lines(loads.lines)
     at_springs = jnp.zeros(0) if body.sprung is None else jnp.maximum(body.sprung.held_by.springs.at, 0.0)
-    places = jnp.concatenate([at_loads, at_springs])
-    top = jnp.max(places, initial=0.0)
+    top = jnp.max(jnp.concatenate([at_loads, of_lines, at_springs]), initial=0.0)
     split = jnp.where(at.phase == Phase.tangential, at.contact_arc, _middle(body, top, body.length))
     stops = [split, body.length]
     if body.section is not None:
         stops = [_middle(body, top, split), split, _middle(body, split, body.length), body.length]
-    contact, number = places.size + len(stops) // 2 - 1, np.arange(places.size)
     # Breaks come last where places coincide: a break at the tip would take its place.
-    arcs = jnp.concatenate([places, jnp.stack(stops), *([] if breaks is None else [breaks])])
-    order = jnp.argsort(arcs)
-    rank = jnp.argsort(order)
-    of_loads, of_springs = jnp.split(rank[number], [at_loads.size])
-    return ElementEnds(arcs[order], rank[contact], of_loads, of_springs)
+    breaks = jnp.zeros(0) if breaks is None else breaks
+    order = in_order(at_loads, of_lines, at_springs, jnp.stack(stops), breaks, outwards=True)
+    return ElementEnds(order, order.ranks[SPLITS][len(stops) // 2 - 1])
 
 
 def _middle(body: WhiskerAtObject, start: Scalar, stop: Scalar) -> Scalar:
@@ -111,45 +110,39 @@ def _middle(body: WhiskerAtObject, start: Scalar, stop: Scalar) -> Scalar:
 def line_of(body: WhiskerAtObject, at: Equilibrium, ends: ElementEnds, loads: DeadLoads | None) -> Centreline:
     """The line of a whisker, from its base to its tip."""
     material, (lengths, arcs) = material_of(body), node_arcs(ends.arcs)
-    start = (at.base_x, at.base_y, -jnp.sin(at.base_angle), jnp.cos(at.base_angle))
-    load = rod.Load(-at.fx, -at.fy, -at.mz - at.base_x * at.fy + at.base_y * at.fx)
+    start, load = at_base(Pose(at.base_x, at.base_y, at.base_angle), (at.fx, at.fy, at.mz))
     unloads = (jnp.arange(ends.arcs.size) == ends.contact) & (at.phase == Phase.tangential)
-    dead, springs = None, None
+    lines, dead, springs = () if loads is None else loads.lines, None, None
     if loads is not None:
-        at_places = loads._replace(lines=())
-        dead = ends.spread(
-            jax.tree.map(lambda leaf: jnp.append(leaf, jnp.zeros(2 * len(loads.lines))), at_places), ends.loads
-        )
+        dead = ends.order.spread(LOADS, loads._replace(lines=()))
     if body.sprung is not None:
-        springs = ends.spread(body.sprung.held_by.springs, ends.springs)
         # The reaction is that of everything at the base and below.
-        springs = springs._replace(share=jnp.where(springs.at > 0, springs.share, 0.0))
+        springs = ends.order.spread(SPRINGS, body.sprung.held_by.springs.above)
 
-    lines = () if loads is None else loads.lines
-
-    def element(carry, here):
-        (state, load), (first, length, unloaded, dead, spring) = carry, here
-        states, inside = _through(body, lines, state, load, first, length, material)
+    def onwards(state, load, s, stop):
+        states, inside = _through(body, lines, state, load, s, stop - s, material)
         end, load = jax.tree.map(lambda values: values[-1], (states, inside))
+        _, _, cos, sin = states
+        kept = cos, sin, jnp.asarray(inside.force_x), jnp.asarray(inside.force_y)
+        return end, load, tuple(values[1:-1] for values in kept)
+
+    def behind(load, state, place):
+        unloaded, dead, spring = place
         if dead is not None:
-            about = dead.moment + end[0] * dead.force_y - end[1] * dead.force_x
-            load = rod.Load(load.force_x - dead.force_x, load.force_y - dead.force_y, load.moment - about)
+            push = pressed(state[:2], dead.force_x, dead.force_y, dead.moment)
+            load = jax.tree.map(jnp.subtract, load, push)
         if spring is not None:
             assert body.sprung is not None
-            load = past(load, spring, body.laws, end, body.sprung.drive, -1.0)
-        load = jax.tree.map(lambda part: jnp.where(unloaded, 0.0, part), load)
-        _, _, cos, sin = states
-        forces = jnp.asarray(inside.force_x), jnp.asarray(inside.force_y)
-        return (end, load), (*(values[1:-1] for values in (cos, sin, *forces)), end)
+            load = past(load, spring, body.laws, state, body.sprung.drive, -1.0)
+        return jax.tree.map(lambda part: jnp.where(unloaded, 0.0, part), load)
 
-    start = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load))
-    each = ends.arcs - lengths, lengths, unloads, dead, springs
-    _, (cos, sin, force_x, force_y, states) = jax.lax.scan(element, start, each)
+    walked = walk(onwards, behind, start, load, ends.arcs, (unloads, dead, springs), s=jnp.zeros(()))
+    cos, sin, force_x, force_y = walked.ways
     if isinstance(material, rod.Section):
         stiffness = jax.vmap(jax.vmap(material.stiffness))(arcs)
     else:
         stiffness = jnp.full(arcs.shape, body.bending_stiffness)
-    return Centreline(lengths, cos, sin, force_x, force_y, stiffness, states, springs, ends.contact)
+    return Centreline(lengths, cos, sin, force_x, force_y, stiffness, walked.passed, springs, ends.contact)
 
 
 def _through(

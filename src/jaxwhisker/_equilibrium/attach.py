@@ -23,6 +23,7 @@ from jaxwhisker._model.spring import AXES, Spring
 from jaxwhisker._model.support import Support
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
+from jaxwhisker._rod.walk import in_order
 
 # Shares of the springs' tensions, which grow until they are the given ones. The first shares are small: stiff springs
 # bend the whisker early, and from too far away Newton's method finds whiskers that are wound up by a full turn.
@@ -84,8 +85,12 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
     room = 1 + max(map(len, each))
     stacked = [jax.tree.map(lambda *leaves: jnp.stack(leaves), *one, *[none] * (room - len(one))) for one in each]
     unsorted = jax.tree.map(lambda *leaves: jnp.stack(leaves), *stacked)
-    ordered, _ = jax.vmap(lambda own: own.with_places(jnp.zeros(0)))(unsorted)
-    ranks = jax.vmap(lambda own: jnp.argsort(own.order))(unsorted)
+
+    def sort(own: ShaftSprings) -> tuple[ShaftSprings, Int[Array, " springs"]]:
+        order = in_order(own.at)
+        return order.spread(0, own), order.ranks[0]
+
+    ordered, ranks = jax.vmap(sort)(unsorted)
     blank = jnp.zeros((support.whiskers, 3 + support.shaft_loads))
     found = OnShafts(Attachments(ordered, tissue), tuple(laws), ranks, blank)
     return found if not between else _coupled(found, between)

@@ -25,11 +25,12 @@ from jaxwhisker._base.program import is_array
 from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.couplings import moved
 from jaxwhisker._equilibrium.friction import Friction, contact_parameter, lean
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk, pressed
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, base_of_walk
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
 from jaxwhisker._rod.elastica import AbstractRod, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment
+from jaxwhisker._rod.walk import pressed
 
 FORCE, PARAMETER, SLACK = range(3)  # numbers of a contact z
 LEAN = PARAMETER  # of a contact that sticks

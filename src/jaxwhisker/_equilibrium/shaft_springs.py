@@ -22,6 +22,8 @@ from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.foundation import Density, integrate_on
 from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate
+from jaxwhisker._rod.walk import Walk, in_order, pressed
+from jaxwhisker._rod.walk import walk as walk_past
 
 AXIAL = len(AXES)  # in addition to the indices into AXES
 SHORTEST = 1e-10  # length of an axial spring whose ends meet: it needs a direction
@@ -46,17 +48,15 @@ class ShaftSprings(NamedTuple):
     law: Int[Array, "*batch springs"]
     share: Float[Array, "*batch springs"]  # of the tension that acts: 1; 0 for places without a spring
 
-    def with_places(self, at: Float[Array, " places"]) -> tuple["ShaftSprings", Int[Array, " places"]]:
-        """The springs of a whisker and further places without a spring, and the indices of these places."""
-        more = jax.tree.map(lambda leaf: jnp.zeros_like(leaf, shape=at.shape), self)._replace(at=at)
-        both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), self, more)
-        places = jnp.argsort(both.order)[self.at.size :]
-        return jax.tree.map(lambda leaf: leaf[both.order], both), places
+    @property
+    def above(self) -> "ShaftSprings":
+        """The springs above the base; those at the base and below have no share."""
+        return self._replace(share=jnp.where(self.at > 0, self.share, 0.0))
 
     @property
-    def order(self) -> Int[Array, " springs"]:
-        """Indices of a whisker's springs from the tip to the base."""
-        return jnp.argsort(-jax.lax.stop_gradient(self.at), stable=True)
+    def below(self) -> "ShaftSprings":
+        """The springs at the base and below; those above the base have no share."""
+        return self._replace(share=jnp.where(self.at > 0, 0.0, self.share))
 
 
 class Tissue(NamedTuple):
@@ -103,14 +103,17 @@ class Attachments(NamedTuple):
     given: Float[Array, "*batch springs 3"] | None = None
 
     def with_places(self, at: Float[Array, " places"]) -> tuple["Attachments", Int[Array, " places"]]:
-        """The same with further places: see `ShaftSprings.with_places`."""
-        springs, places = self.springs.with_places(at)
-        if self.given is None:
-            return self._replace(springs=springs), places
-        all_at = jnp.concatenate([self.springs.at, at])
-        order = jnp.argsort(-jax.lax.stop_gradient(all_at), stable=True)
-        given = jnp.concatenate([self.given, jnp.zeros((at.size, 3))])[order]
-        return self._replace(springs=springs, given=given), places
+        """The same with further places without a spring, and the indices of these places."""
+        order = in_order(self.springs.at, at)
+        springs, given = order.spread(0, (self.springs, self.given))
+        return self._replace(springs=springs._replace(at=order.at), given=given), order.ranks[1]
+
+    @property
+    def above(self) -> "Attachments":
+        """The same without the springs at the base and below: the reaction at the base is that of all of these."""
+        given, at = self.given, self.springs.at
+        given = None if given is None else jnp.where(at[..., None] > 0, given, 0.0)
+        return self._replace(springs=self.springs.above, given=given)
 
     @property
     def top(self) -> Float[Array, "*batch"]:
@@ -123,16 +126,6 @@ class Attachments(NamedTuple):
         if self.tissue is None:
             return self._replace(springs=springs)
         return self._replace(springs=springs, tissue=self.tissue._replace(stiffness=share * self.tissue.stiffness))
-
-
-class Walk(NamedTuple):
-    """The end of a rod behind all springs, and the rod at the springs on the way."""
-
-    end: RodState
-    load: Load  # there
-    above: Load  # by all springs above the base, which the shaft carries at its base
-    passed: RodStates  # at each spring
-    loads: Load  # on the rod in front of each spring
 
 
 def tension_of(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
@@ -209,13 +202,7 @@ def past(
             force_y + across * drive.sin + along * drive.cos,
         )
         turn += moment
-    here = pressed(end_of(spring, state), force_x, force_y)
-    turned = jnp.asarray(here.moment) + turn
-    return Load(
-        jnp.asarray(load.force_x) + jnp.asarray(here.force_x),
-        load.force_y + here.force_y,
-        turned + jnp.asarray(load.moment),
-    )
+    return jax.tree.map(jnp.add, load, pressed(end_of(spring, state), force_x, force_y, turn))
 
 
 def to_next(
@@ -261,7 +248,7 @@ def walk(
     steps: int,
     solver: diffrax.AbstractSolver | None = None,
     sign: float = 1.0,
-) -> Walk:
+) -> Walk[RodState, RodStates, Load]:
     """Follow a rod past all springs.
 
     Args:
@@ -277,25 +264,15 @@ def walk(
         sign: 1 on the way to the base, -1 away from it.
     """
 
-    def piece(carry, place):
-        (state, load, above, s), (spring, given) = carry, place
-        stop = jnp.maximum(spring.at, 0.0)
-        state, load = to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver)
-        below = past(load, spring, laws, state, drive, sign, given)
-        passed = (tuple(map(jnp.asarray, state)), load)
-        # At the base, the first place is reached along the shaft, and all others without a way.
-        above = jax.tree.map(lambda a, b, c: jnp.where(spring.at > 0, a, jnp.where(s > 0, b, c)), below, load, above)
-        return (state, below, above, stop), passed
+    def onwards(state, load, s, stop):
+        return *to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver), None
 
-    carry = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype=float), (start, load, load, s))
-    (state, load, above, _), ((x, y, cos, sin), loads) = jax.lax.scan(piece, carry, (held.springs, held.given))
-    return Walk(state, load, above, (x, y, cos, sin), loads)
+    def behind(load, state, place):
+        spring, given = place
+        return past(load, spring, laws, state, drive, sign, given)
 
-
-def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar) -> Load:
-    """The load of a force that acts at a point."""
-    x, y = point
-    return Load(force_x, force_y, x * force_y - y * force_x)
+    stops = jnp.maximum(held.springs.at, 0.0)
+    return walk_past(onwards, behind, start, load, stops, (held.springs, held.given), s=s)
 
 
 OfBase: TypeAlias = tuple[RodState, Load, Load, Float[Array, "springs 3"] | None]
@@ -313,10 +290,12 @@ def _base(
 ) -> OfBase:
     steps = 2 * method.steps if isinstance(material, Section) else method.steps
     walked = walk(start, load, arc, material, held, laws, drive, steps=steps, solver=method.solver)
+    # What the shaft carries at its base: the load in front of the first spring there.
+    above = jax.tree.map(lambda leaf: jnp.take(leaf, jnp.sum(held.springs.at > 0), mode="clip"), walked.loads)
     if held.given is None:
-        return walked.end, walked.load, walked.above, None
+        return walked.end, walked.load, above, None
     places = jax.vmap(lambda spring, passed: in_drive(spring, passed, drive))(held.springs, walked.passed)
-    return walked.end, walked.load, walked.above, places
+    return walked.end, walked.load, above, places
 
 
 @eqx.filter_custom_jvp

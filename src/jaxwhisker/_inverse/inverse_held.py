@@ -128,8 +128,7 @@ class HeldObservation(NamedTuple):
         moved = known.compliance * loads
         x, y, angle = pose = known.rest + moved
         assert known.held_by is not None
-        springs = known.held_by.springs
-        springs = springs._replace(share=jnp.where(springs.at > 0, 0.0, springs.share))
+        springs = known.held_by.springs.below
         none, state = rod.Load(*[jnp.zeros(())] * 3), (x, y, -jnp.sin(angle), jnp.cos(angle))
         each = jax.vmap(lambda spring: _components(past(none, spring, known.laws, state, DRIVE, 1.0)))(springs)
         fx, fy, about = jnp.sum(each, axis=0)

@@ -4,6 +4,7 @@ from functools import reduce
 from typing import Any, TypeAlias
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -12,7 +13,8 @@ from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.foundation import Density
-from jaxwhisker._rod.rod import at_arc
+from jaxwhisker._rod.rod import Along, at_arc
+from jaxwhisker._rod.walk import pressed
 
 Given: TypeAlias = tuple[PointForce | PointMoment | LineLoad, ...]
 
@@ -99,6 +101,12 @@ def lines_of(whisker: Whisker, loads: Given) -> tuple[ScaledLineLoad, ...]:
     return tuple(lines)
 
 
+def ends_of_lines(lines: tuple[ScaledLineLoad, ...]) -> Along:
+    """Arc lengths at which distributed loads begin and end."""
+    ends = [end for line in lines for end in (line.start, line.stop)]
+    return jnp.stack(ends) if ends else jnp.zeros(0)
+
+
 def density_of(lines: tuple[ScaledLineLoad, ...], start: Scalar, stop: Scalar, factor: Scalar = 1.0) -> Density | None:
     """Force per length of `factor` times all line loads between two arc lengths; None without any."""
 
@@ -118,5 +126,4 @@ def with_load(total: rod.Load, load: Loads, state: rod.RodState, factor: Scalar)
     # A follower is turned by phi - pi/2, like the whisker.
     fx = force * jnp.where(follower, dead_y * cos + dead_x * sin, dead_x)
     fy = force * jnp.where(follower, dead_y * sin - dead_x * cos, dead_y)
-    moment = total.moment + x * fy - y * fx + factor * load.moment  # pyright: ignore[reportOptionalOperand]
-    return rod.Load(total.force_x + fx, total.force_y + fy, moment)  # pyright: ignore[reportOptionalOperand]
+    return jax.tree.map(jnp.add, total, pressed((x, y), fx, fy, factor * load.moment))

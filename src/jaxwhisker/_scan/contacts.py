@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxwhisker._base import checks
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.walk import in_order, pressed, walk
 from jaxwhisker._scan.quantities import is_of_contacts
 from jaxwhisker._scan.springs import at_base
 from jaxwhisker._scan.state import FRICTION, State, base_of, material
@@ -54,7 +55,7 @@ def with_axis_of_contacts(state: State) -> State:
 def past_contacts(
     whisker: Whisker, at: State, s: Float[Array, " points"]
 ) -> tuple[rod.RodStates, Float[Array, " points"]]:
-    """States of the rod at increasing arc lengths, and the internal moments there.
+    """States of the rod at arc lengths in any order, and the internal moments there.
 
     Args:
         whisker: the whisker.
@@ -67,24 +68,20 @@ def past_contacts(
     _, normal, along = (getattr(at, name) for name in FRICTION)
     if normal is not None:
         force_x, force_y = normal * sin + along * cos, along * sin - normal * cos
-    own = jnp.stack([force_x, force_y, at.contact_x * force_y - at.contact_y * force_x])
+    touches = (jnp.arange(at.contact_arc.size) == 0) & (at.contact_arc[0] > 0)
+    own = touches, pressed((at.contact_x, at.contact_y), force_x, force_y)
     # Steps end at all points and at all contacts.
-    ends = jnp.append(s, at.contact_arc)
-    order = jnp.argsort(jax.lax.stop_gradient(ends))
-    ends = ends[order]
-    begins = jnp.append(0.0, ends[:-1])
-    passed = jnp.append(jnp.zeros((3, s.size)), own, axis=1)[:, order]
-    passed = jnp.cumsum(passed, axis=1) - passed
-    touches = (jnp.arange(ends.size) == s.size)[order] & (at.contact_arc[0] > 0)
-    unloaded = jnp.cumsum(touches) - touches > 0  # exactly: a pointed tip has no stiffness
-    whole = jnp.stack([jnp.asarray(part) for part in (load.force_x, load.force_y, load.moment)])
-    rest = jnp.where(unloaded, 0.0, whole[:, None] - passed)
+    order = in_order(s, at.contact_arc, outwards=True)
 
-    def step(state: rod.RodState, over):
-        begin, end, load = over
+    def onwards(state, load, s, stop):
         # A negative arc integrates away from the base.
-        state = rod.integrate(state, begin - end, rod.Load(*load), material(whisker), steps=1, from_base=begin)
-        return state, (state, jnp.asarray(rod.moment(*state[:2], rod.Load(*load))))
+        state = rod.integrate(state, s - stop, load, material(whisker), steps=1, from_base=s)
+        return state, load, jnp.asarray(rod.moment(*state[:2], load))
 
-    _, found = jax.lax.scan(step, jax.tree.map(jnp.asarray, start), (begins, ends, rest.T))
-    return jax.tree.map(lambda leaf: leaf[jnp.argsort(order)[: s.size]], found)
+    def past(load, state, contact):
+        outermost, push = contact
+        # Exactly zero: a pointed tip has no stiffness.
+        return jax.tree.map(lambda a, b: jnp.where(outermost, 0.0, a - b), load, push)
+
+    walked = walk(onwards, past, start, load, order.at, order.spread(1, own), s=jnp.zeros(()))
+    return jax.tree.map(lambda leaf: leaf[order.ranks[0]], (walked.passed, walked.ways))

@@ -7,7 +7,6 @@ unknowns. Otherwise the direction of the whisker at the top is the only unknown,
 equation (Steigenberger 2013).
 """
 
-import itertools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,17 +18,28 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import attached
 from jaxwhisker._equilibrium.dimensionless import sections
-from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, ShaftSprings, past, stretched, to_next
+from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, past, stretched, to_next
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._scan.applied_loads import Given, Loads, ScaledLineLoad, density_of, lines_of, sorted_loads, with_load
+from jaxwhisker._rod.walk import in_order, stretches, walk
+from jaxwhisker._scan.applied_loads import (
+    Given,
+    Loads,
+    ScaledLineLoad,
+    density_of,
+    ends_of_lines,
+    lines_of,
+    sorted_loads,
+    with_load,
+)
 
 ROD_STEPS = 32  # of the rod between two places
-CHECKED = 17  # points on a stretch at which stability is checked
+CHECKED = np.linspace(0.0, 1.0, 17)[1:]  # points on each stretch between loads at which stability is checked
+NO_POINTS = np.zeros(0)  # besides the loads
 LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
 DRIVE = Frame(0.0, 0.0, 1.0, 0.0)  # pyright: ignore[reportArgumentType] (arrays would start JAX at import)
 
@@ -75,14 +85,6 @@ class LoadedRod(eqx.Module):
         return jnp.stack(pose[2:] if self.held_by is None else pose)
 
 
-class _Place(NamedTuple):
-    """A place on the whisker: a spring, a load, or neither; the other fields are zero there."""
-
-    at: Scalar
-    load: Loads
-    spring: ShaftSprings | None
-
-
 class Bent(NamedTuple):
     """A whisker in equilibrium, dimensionless, with its shape as in `deflect`."""
 
@@ -122,7 +124,12 @@ def _start(top: Float[Array, " unknowns"]) -> rod.RodState:
 
 
 def _walk(
-    rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, factor: Scalar, grids: list[rod.Along], steps: int
+    rods: LoadedRod,
+    top: Float[Array, " unknowns"],
+    share: Scalar,
+    factor: Scalar,
+    points: Float[np.ndarray, " points"],
+    steps: int,
 ):
     """From the top to the base, with a share of the springs and `factor` times the loads.
 
@@ -131,54 +138,38 @@ def _walk(
         top: the unknowns: see there.
         share: of the springs' tensions.
         factor: of the loads.
-        grids: arc lengths of further points, the first of which is the top unless that is a load: beyond the outermost
-            load, between each load and the next one, and between the last one and the base.
+        points: on each stretch between loads: see `stretches`.
         steps: of the rod between two places.
 
     Returns:
-        State and load at the end of the walk; states and loads at the further points and the base, and at the springs.
+        State and load at the end of the walk; arc lengths, states and loads at the points; states and loads at springs.
     """
-    loads, held_by = rods.loads, None if rods.held_by is None else rods.held_by.weakened(share)
-    tissue = None if held_by is None else held_by.tissue
-    # Of places that coincide, the load comes before points below it, and springs come last: what the shaft carries at
-    # its base excludes those at the base and below.
-    ends = [end for line in rods.lines for end in (line.start, line.stop)]
-    beyond, *below = grids
-    parts = [
-        beyond,
-        *(part for at_load, own in zip(loads.position, below, strict=True) for part in (at_load[None], own)),
-    ]
-    at = jnp.concatenate([*parts, jnp.zeros(1), *(jnp.reshape(end, 1) for end in ends)])
-    loaded = np.cumsum([part.size for part in parts])[:-1:2]
-    points, sprung = np.setdiff1d(np.arange(at.size - len(ends)), loaded), np.arange(at.size, at.size)
-    springs = None
-    if held_by is not None:
-        none = jax.tree.map(lambda leaf: jnp.zeros(at.size, leaf.dtype), held_by.springs)._replace(at=at)
-        springs = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), none, held_by.springs)
-        sprung, at = np.arange(at.size, springs.at.size), springs.at
-    order = jnp.argsort(-jax.lax.stop_gradient(at), stable=True)
-    every = _Place(at, jax.tree.map(lambda leaf: jnp.zeros(at.size).at[loaded].set(leaf), loads), springs)
-    every = jax.tree.map(lambda leaf: leaf[order], every)
+    held_by = None if rods.held_by is None else rods.held_by.weakened(share)
+    tissue, springs = (None, None) if held_by is None else (held_by.tissue, held_by.springs)
+    at, loaded, inside, _ = stretches(rods.loads.position, points, beyond=not rods.free_beyond)
+    # Of places that coincide, springs come last: what the shaft carries at its base excludes those there and below.
+    order = in_order(at, ends_of_lines(rods.lines), jnp.zeros(0) if springs is None else springs.at)
+    loads = jax.tree.map(lambda leaf: jnp.zeros(at.size).at[loaded].set(leaf), rods.loads)
 
-    def behind(load: rod.Load, state: rod.RodState, place: _Place) -> rod.Load:
-        if place.spring is not None:
-            load = past(load, place.spring, rods.laws, state, DRIVE, 1.0)
-        return with_load(load, place.load, state, factor)
-
-    def piece(carry, place):
-        (state, load, s), stop = carry, jnp.maximum(place.at, 0.0)
+    def onwards(state, load, s, stop):
         given = density_of(rods.lines, s, stop, factor)
-        state, load = to_next(state, load, s, stop, rods.section, tissue, DRIVE, steps=steps, given=given)
-        here = tuple(map(jnp.asarray, state)), load
-        return (state, behind(load, state, place), stop), here
+        return *to_next(state, load, s, stop, rods.section, tissue, DRIVE, steps=steps, given=given), None
 
-    first, others = (jax.tree.map(lambda leaf, part=part: leaf[part], every) for part in (0, slice(1, None)))
-    state, nothing = _start(top), rod.Load(*[jnp.zeros(())] * 3)
-    (end, load, _), passed = jax.lax.scan(piece, (state, behind(nothing, state, first), first.at), others)
-    passed = jax.tree.map(lambda start, rest: jnp.append(start, rest), (state, nothing), passed)
-    rank = jnp.argsort(order)
-    at_points, at_springs = (jax.tree.map(lambda leaf, k=k: leaf[rank[k]], passed) for k in (points, sprung))
-    return (end, load), at_points, at_springs
+    def behind(load, state, place):
+        load_there, spring = place
+        if spring is not None:
+            load = past(load, spring, rods.laws, state, DRIVE, 1.0)
+        return with_load(load, load_there, state, factor)
+
+    places = order.spread(0, loads), order.spread(2, springs)
+    nothing = rod.Load(*[jnp.zeros(())] * 3)
+    walked = walk(onwards, behind, _start(top), nothing, jnp.maximum(order.at, 0.0), places)
+
+    def passed(rank):
+        return jax.tree.map(lambda leaf: leaf[rank - 1], (walked.passed, walked.loads))  # nothing is the first place
+
+    at_points = at[inside], *passed(order.ranks[0][inside])
+    return (walked.end, walked.load), at_points, passed(order.ranks[2])
 
 
 def _about(x: Scalar, y: Scalar, load: rod.Load) -> Float[Array, "3"]:
@@ -206,12 +197,8 @@ def misfit(
     top: Float[Array, " unknowns"], rods: LoadedRod, share: Scalar = 1.0, factor: Scalar = 1.0
 ) -> Float[Array, " unknowns"]:
     """The equations, with a share of the springs and `factor` times the loads: see LoadedRod."""
-    end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
+    end, _, _ = _walk(rods, top, share, factor, NO_POINTS, ROD_STEPS)
     return _misfit(rods, end, share)[0]
-
-
-def _no_points(rods: LoadedRod) -> list[rod.Along]:
-    return [jnp.ones(0 if rods.free_beyond else 1), *[jnp.zeros(0)] * rods.loads.position.size]
 
 
 class Checks(NamedTuple):
@@ -231,32 +218,22 @@ def checks_of(rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, fa
     """
 
     def refined(top):
-        end, (states, _), _ = _walk(rods, top, share, factor, _grids(rods, CHECKED), -(-2 * ROD_STEPS // (CHECKED - 1)))
+        end, (_, states, _), _ = _walk(rods, top, share, factor, CHECKED, -(-2 * ROD_STEPS // CHECKED.size))
         missed, pose = _misfit(rods, end, share)
         along = _pose(states)
         return (along if rods.held_by is not None else along[:, 2:], missed), (missed, pose)
 
     (along, slope), (missed, pose) = jax.jacfwd(refined, has_aux=True)(top)
-    end, _, _ = _walk(rods, top, share, factor, _no_points(rods), ROD_STEPS)
+    end, _, _ = _walk(rods, top, share, factor, NO_POINTS, ROD_STEPS)
     coarse, coarse_pose = _misfit(rods, end, share)
     residual, by_steps = (jnp.max(jnp.abs(v)) for v in (coarse, jnp.concatenate([missed, pose - coarse_pose])))
     return Checks(residual, by_steps, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0))
 
 
-def _grids(rods: LoadedRod, points: int) -> list[rod.Along]:
-    """Equidistant arc lengths on each stretch between loads, from the top to the base, without the base."""
-    stops = jnp.concatenate([jnp.ones(1), rods.loads.position, jnp.zeros(1)])
-    # Rounding must not exchange points and loads, also on a stretch without length.
-    share = jnp.linspace(0.0, 1.0, points)
-    grids = [(a + (b - a) * share).at[-1].set(b) for a, b in itertools.pairwise(stops)]
-    return [grids[0][: 0 if rods.free_beyond else points], *grids[1:-1], grids[-1][:-1]]
-
-
 def bent(rods: LoadedRod, top: Float[Array, " unknowns"], points: int) -> Bent:
     """The equilibrium with these unknowns, and its shape at `points` points on each stretch between loads."""
-    grids = _grids(rods, points)
-    _, (line, load), (passed, _) = _walk(rods, top, 1.0, 1.0, grids, -(-ROD_STEPS // (points - 1)))
-    s = jnp.concatenate([*grids, jnp.zeros(1)])
+    steps = -(-ROD_STEPS // (points - 1))
+    _, (s, line, load), (passed, _) = _walk(rods, top, 1.0, 1.0, np.linspace(0.0, 1.0, points), steps)
     if rods.free_beyond:
         nothing = rod.Load(*[jnp.zeros(())] * 3)
         # A straight line needs two points.

@@ -20,7 +20,6 @@ from jaxwhisker._equilibrium.shaft_springs import (
     Attachments,
     Laws,
     ShaftSprings,
-    Walk,
     end_of,
     in_drive,
     stretched,
@@ -33,6 +32,7 @@ from jaxwhisker._model.spring import AXES, POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.walk import Walk, pressed
 from jaxwhisker._scan.state import State, material
 
 WALK_STEPS = 16  # of the rod from one spring on its shaft to the next
@@ -134,17 +134,16 @@ def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     """State of the rod at its base, and the load there, which balances the reaction."""
     fx, fy, mz = reaction
     start = (base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
-    return start, rod.Load(-fx, -fy, -mz - base.x * fy + base.y * fx)
+    return start, pressed((base.x, base.y), -fx, -fy, -mz)
 
 
-def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
+def walk_outwards(
+    material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int
+) -> Walk[rod.RodState, rod.RodStates, rod.Load]:
     """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
-    springs, given = jax.tree.map(lambda leaf: leaf[::-1], (held.held_by.springs, held.held_by.given))
-    # The reaction is that of everything at the base and below.
-    above = springs.at > 0
-    given = None if given is None else jnp.where(above[:, None], given, 0.0)
-    springs = springs._replace(share=jnp.where(above, springs.share, 0.0))
-    held_by, zero = held.held_by._replace(springs=springs, given=given), jnp.zeros_like(springs.at[0])
+    above = held.held_by.above
+    springs, given = jax.tree.map(lambda leaf: leaf[::-1], (above.springs, above.given))
+    held_by, zero = above._replace(springs=springs, given=given), jnp.zeros_like(springs.at[0])
     walked = walk(start, load, zero, material, held_by, held.laws, held.drive, steps=steps, sign=-1.0)
     passed, loads = jax.tree.map(lambda leaf: leaf[::-1], (walked.passed, walked.loads))
     return walked._replace(passed=passed, loads=loads)

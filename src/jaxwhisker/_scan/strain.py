@@ -155,11 +155,10 @@ def _moments(whisker: Whisker, state: State, at: Along, own: Held | None) -> Alo
     """Internal moments of one whisker in the plane."""
     s = jnp.append(whisker.length * jnp.linspace(0.0, 1.0, INTERVALS + 1), at)
     if own is None:
-        order = jnp.argsort(jax.lax.stop_gradient(s))
         if not has_several(state):
             state = with_axis_of_contacts(state)
-        _, moment = past_contacts(whisker, state, s[order])
-        return moment[jnp.argsort(order)[INTERVALS + 1 :]]
+        _, moment = past_contacts(whisker, state, s)
+        return moment[INTERVALS + 1 :]
     arc = jnp.where(state.phase == Phase.free, whisker.length, state.contact_arc)
     loaded = s < arc
     moment = moment_at(whisker, base_of(state), (state.fx, state.fy, state.mz), jnp.where(loaded, s, arc), own)

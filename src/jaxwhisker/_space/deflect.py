@@ -17,7 +17,7 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
 from jaxwhisker._rod.space import curvature
-from jaxwhisker._space.loaded import ROD_STEPS, LoadedInSpace, checks_of, loaded_in_space, misfit, walk
+from jaxwhisker._space.loaded import ROD_STEPS, LoadedInSpace, checks_of, loaded_in_space, misfit, walked
 
 ACCURACY = 1e-8  # largest accepted error of the base's rotation and position, by comparison with twice as many steps
 UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length
@@ -102,7 +102,7 @@ def _deflect(whisker: Whisker, loads: Forces, points: int) -> dict[str, Array]:
 def _shape(rods: LoadedInSpace, top: Array, whisker: Whisker, points: int) -> dict[str, Array]:
     """Reaction and shape at `points` points on each stretch between forces."""
     length, stiffness = whisker.length, whisker.base_stiffness
-    found = walk(top, rods, 1.0, np.linspace(0.0, 1.0, points), -(-ROD_STEPS // (points - 1)))
+    found = walked(top, rods, 1.0, np.linspace(0.0, 1.0, points), -(-ROD_STEPS // (points - 1)))
     # The last point of each stretch is the first one of the next.
     kept = [k for k in range(found.s.size) if k % points != points - 1 or k == found.s.size - 1][::-1]
     s, states, loads = jax.tree.map(lambda leaf: leaf[jnp.array(kept)], (found.s, found.states, found.loads))

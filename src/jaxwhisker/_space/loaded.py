@@ -29,11 +29,12 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
+from jaxwhisker._rod.walk import stretches, walk
 from jaxwhisker._space.section import space_section
 
 ROD_STEPS = 32  # of the rod between two forces
 NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
-ENDS = np.zeros(1)  # fractions of stretches at which a walk stops: at the forces only
+NO_POINTS = np.zeros(0)  # besides the forces
 LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
 HALF = float(np.sqrt(0.5))
 CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
@@ -49,6 +50,11 @@ class LoadedInSpace(eqx.Module):
     section: SpaceSection
     unbent: Float[Array, "4"]  # rotation at the top without loads
     free_beyond: bool = eqx.field(static=True)  # whether the whisker goes on beyond the outermost force
+
+    @property
+    def top(self) -> Float[Array, ""]:
+        """Arc length from the base to the top."""
+        return jnp.ones(()) if self.free_beyond else self.position[0]
 
     @property
     def load(self) -> Float[Array, ""]:
@@ -88,44 +94,43 @@ def _rotation(vector: Top) -> Quaternion:
 
 
 class WalkInSpace(NamedTuple):
-    """States along the whisker from its top on, and its end at the base."""
+    """States and loads at points of the whisker, from the top to the base, and its end there."""
 
     s: Float[Array, " points"]
     states: SpaceState
     loads: SpaceLoad
+    lengths: Float[Array, " stretches"]  # of the stretches between forces
     end: SpaceState
     load: SpaceLoad
 
 
-def walk(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> WalkInSpace:
+def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> WalkInSpace:
     """From the top to the base, with `factor` times the forces.
 
     Args:
         top: the unknowns.
         rods: see LoadedInSpace.
         factor: of the forces.
-        share: points on each stretch between forces as fractions of the stretch; the first one is 0.
+        share: points on each stretch between forces: see `stretches`.
         steps: of the rod between two points.
     """
-    ends, added = jnp.append(rods.position, 0.0), rods.force
-    if rods.free_beyond:
-        ends, added = jnp.concatenate([jnp.ones(1), ends]), jnp.concatenate([jnp.zeros((1, 3)), added])
-    s = jnp.ravel(jnp.where(share == 1, ends[1:, None], ends[:-1, None] + jnp.diff(ends)[:, None] * share))
-    force = jnp.zeros((s.size, 3)).at[:: share.size].set(factor * added)
+    at, loaded, points, lengths = stretches(rods.position, share, beyond=rods.free_beyond)
 
-    def piece(carry, place):
-        (state, load), (start, stop, force) = carry, place
+    def onwards(state, load, s, stop):
+        return integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load, None
+
+    def past(load, state, force):
         own: Vector = (force[0], force[1], force[2])
-        load = SpaceLoad(plus(load.force, own), plus(load.moment, cross(state[0], own)))
-        end = integrate(state, start - stop, load, rods.section, steps=steps, from_base=start)
-        return (end, load), (state, load)
+        return SpaceLoad(plus(load.force, own), plus(load.moment, cross(state[0], own)))
 
     w, x, y, z = rods.unbent
     zero = jnp.zeros(())
     still = zero, zero, zero
-    start = (still, product(_rotation(top), (w, x, y, z))), SpaceLoad(still, still)
-    (end, load), (states, loads) = jax.lax.scan(piece, start, (s, jnp.append(s[1:], 0.0), force))
-    return WalkInSpace(s, states, loads, end, load)
+    start = still, product(_rotation(top), (w, x, y, z))
+    force = jnp.zeros((at.size, 3)).at[loaded].set(factor * rods.force)
+    found = walk(onwards, past, start, SpaceLoad(still, still), at, force)
+    states, loads = jax.tree.map(lambda leaf: leaf[points - 1], (found.passed, found.loads))
+    return WalkInSpace(at[points], states, loads, lengths, found.end, found.load)
 
 
 def _turn(q: Quaternion) -> Float[Array, "3"]:
@@ -135,7 +140,7 @@ def _turn(q: Quaternion) -> Float[Array, "3"]:
 
 def misfit(top: Top, rods: LoadedInSpace, factor: Scalar = 1.0) -> Float[Array, "3"]:
     """The equations, with `factor` times the forces."""
-    return _turn(walk(top, rods, factor, ENDS, ROD_STEPS).end[1])
+    return _turn(walked(top, rods, factor, NO_POINTS, ROD_STEPS).end[1])
 
 
 class SpaceChecks(NamedTuple):
@@ -149,14 +154,12 @@ class SpaceChecks(NamedTuple):
 def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> SpaceChecks:
     """Error and stability of a solution with `factor` times the forces."""
     nodes, weights = gauss(NODES)
-    share = np.concatenate([[0.0], nodes, [1.0]])
-    fine = walk(top, rods, factor, share, -(-2 * ROD_STEPS // (share.size - 1)))
-    coarse = walk(top, rods, factor, ENDS, ROD_STEPS)
+    fine = walked(top, rods, factor, nodes, -(-2 * ROD_STEPS // (NODES + 1)))
+    coarse = walked(top, rods, factor, NO_POINTS, ROD_STEPS)
     apart = [a - b for a, b in zip(fine.end[0], coarse.end[0], strict=True)]
     by_steps = jnp.max(jnp.abs(jnp.stack([*_turn(fine.end[1]), *apart])))
-    stretches = jnp.abs(jnp.diff(jnp.append(fine.s[:: share.size], 0.0)))
-    every = jnp.ravel(stretches[:, None] * np.concatenate([[0.0], weights, [0.0]]))
-    stable = positive_definite(second_variation(rods, fine, every))
+    along = jnp.ravel(fine.lengths[:, None] * weights)
+    stable = positive_definite(second_variation(rods, fine, along))
     return SpaceChecks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
 
 
@@ -169,7 +172,7 @@ def second_variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Arr
 
     The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
     """
-    top = found.s[0]
+    top = rods.top
     fields = jnp.stack(legendre_integrals(found.s / top, MODES)) * top
     slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / top, MODES)))
     force, tangent = jnp.stack(found.loads.force, axis=-1), jnp.stack(third_axis(found.states[1]), axis=-1)
