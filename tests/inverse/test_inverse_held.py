@@ -33,7 +33,7 @@ OPTIONS = {"xla_backend_optimization_level": 0}  # more takes longer to compile 
 
 
 def equations(*springs) -> LoadedRod:
-    return loaded_rod(jw.Whisker(), (jw.PointForce(0.0),), jw.Support((jw.Spring((0, 1), *BASE), *springs)))[0]
+    return loaded_rod(jw.Whisker(), (jw.PointForce(0.0),), jw.Support((jw.Spring((0, 1), *BASE), *springs)))
 
 
 def observed(known, reaction, pose=None, lean=None):

@@ -24,8 +24,8 @@ from jaxwhisker._inverse.nearest import PhaseCandidate, WhiskerState, locate, ro
 from jaxwhisker._model.loads import PointForce
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Sensor
+from jaxwhisker._path.deflection import branch_of
 from jaxwhisker._rod import rod
-from jaxwhisker._scan.deflect import solved_top
 from jaxwhisker._scan.loaded_rod import DRIVE, LoadedRod, bent, loaded_rod
 from jaxwhisker._scan.springs import Held, at_base, walk_outwards
 
@@ -190,6 +190,6 @@ class HeldInstrument(NamedTuple):
 
 def held_instrument(sensor: Sensor) -> HeldInstrument:
     """The sensor of one whisker, dimensionless."""
-    equations, _ = loaded_rod(sensor.whiskers[0], (PointForce(0.0),), sensor.support)
+    equations = loaded_rod(sensor.whiskers[0], (PointForce(0.0),), sensor.support)
     constant = jax.lax.stop_gradient(equations)
-    return HeldInstrument(equations, -bent(constant, solved_top(constant).unknowns, 2).load[None])
+    return HeldInstrument(equations, -bent(constant, branch_of(constant).unknowns, 2).load[None])

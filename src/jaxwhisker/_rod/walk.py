@@ -49,6 +49,9 @@ def in_order(*kinds: Along, outwards: bool = False) -> Order:
     return Order(at[order], tuple(ranks))
 
 
+NO_POINTS = np.zeros(0)  # on stretches
+
+
 class Stretches(NamedTuple):
     """Loads from the top of a whisker to its base, and points on the stretches between them."""
 

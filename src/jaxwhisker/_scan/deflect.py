@@ -1,34 +1,27 @@
 """Deflection of one whisker under given loads: forces and moments at points along it, and forces per length."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.implicit import solution_of
-from jaxwhisker._base.leaves import safe_placeholder
-from jaxwhisker._base.load_path import follow
-from jaxwhisker._base.program import Program
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
 from jaxwhisker._model.scene import check_in_plane
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.deflection import ROD_STEPS, AbstractLoadCase, deflected
 from jaxwhisker._scan.applied_loads import Given, weight_of
-from jaxwhisker._scan.loaded_rod import ROD_STEPS, LoadedRod, bent, checks_of, loaded_rod, misfit
+from jaxwhisker._scan.loaded_rod import LoadedRod, bent, loaded_rod
 from jaxwhisker._scan.resolution import warn_of_whisker
 
 if TYPE_CHECKING:
     from jaxwhisker._space.deflect import SpaceDeflection
 
-ACCURACY = 1e-8  # largest accepted error of the base's angle and position, by comparison with twice as many steps
-UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length: a warning tells where steps do not resolve these
 CLAMP = Support.clamped()
 
 
@@ -61,51 +54,51 @@ class Deflection(eqx.Module):
     support: Support
 
 
-class _Solved(NamedTuple):
-    """The end of the branch of solutions that begins without springs and loads."""
+class PlaneLoadCase(AbstractLoadCase):
+    """A whisker in the plane, its loads and its support."""
 
-    unknowns: Float[Array, " unknowns"]
-    springs: Float[Array, ""]  # share of the springs' tensions, 1 in the end
-    loads: Float[Array, ""]  # share of the loads, likewise
-    lost: Bool[Array, ""]  # whether stability is lost there
+    whisker: Whisker
+    loads: Given
+    support: Support
 
+    def rods(self) -> LoadedRod:
+        """The equations."""
+        return loaded_rod(self.whisker, self.loads, self.support)
 
-def solved_top(rods: LoadedRod) -> _Solved:
-    """Follow the branch of solutions that begins without springs and loads, while first the springs grow."""
+    def valid(self, rods: LoadedRod) -> Bool[Array, ""]:
+        """Whether all numbers are in their domains."""
+        valid = self.whisker.valid() & self.support.valid() & checks.all_finite(rods.loads)
+        valid &= jnp.all((rods.loads.position > 0) & (rods.loads.position <= 1))
+        for line in rods.lines:
+            valid &= (line.start >= 0) & (line.stop > line.start) & (line.stop <= 1)
+        for _, _, place in self.support.attachments():
+            valid &= jnp.asarray(place) < self.whisker.length
+        return valid
 
-    def stage(before: _Solved, of_springs):
-        def equations(unknowns, share):
-            springs, loads = jnp.where(of_springs, share, 1.0), jnp.where(of_springs, 0.0, share)
-            return misfit(unknowns, rods, springs, loads)
-
-        path = follow(equations, before.unknowns, jnp.where(of_springs, 1.0, rods.load))
-        reached = jnp.where(of_springs, path.share, 1.0), jnp.where(of_springs, 0.0, path.share)
-        after = _Solved(path.unknowns, *reached, path.lost)
-        return jax.tree.map(lambda a, b: jnp.where(before.springs < 1, a, b), before, after), None
-
-    one = jnp.ones(())
-    start = _Solved(rods.unbent, one, 0 * one, jnp.asarray(False))
-    stages = [True, False] if rods.held_by is not None else [False]
-    return jax.lax.scan(stage, start, np.array(stages))[0]
-
-
-def _solution(whisker: Whisker, loads: Given, support: Support) -> tuple[Array, Int[Array, ""]]:
-    """Unknowns and status."""
-    rods, _ = loaded_rod(whisker, loads, support)
-    solved = solved_top(rods)
-    found = checks_of(rods, solved.unknowns, solved.springs, solved.loads)
-    valid = whisker.valid() & support.valid() & checks.all_finite(rods.loads)
-    valid &= jnp.all((rods.loads.position > 0) & (rods.loads.position <= 1))
-    for line in rods.lines:
-        valid &= (line.start >= 0) & (line.stop > line.start) & (line.stop <= 1)
-    for _, _, place in support.attachments():
-        valid &= jnp.asarray(place) < whisker.length
-    # What the steps of the rod do not resolve is inexact, even if it seems to be unstable.
-    by_steps = ACCURACY if whisker.uniform else UNEVEN_ACCURACY
-    exact = (found.residual < ACCURACY) & (found.by_steps < by_steps) & ((solved.loads == 1) | solved.lost)
-    stable = found.stable & ~solved.lost
-    status = jnp.where(exact, jnp.where(stable, Status.ok, Status.unstable), Status.inexact)
-    return solved.unknowns, jnp.where(valid, status, Status.invalid)
+    def values(self, rods: LoadedRod, unknowns: Array, points: int) -> dict[str, Array]:
+        """Fields of a Deflection."""
+        found = bent(rods, unknowns, points)
+        length, stiffness = map(jnp.asarray, (self.whisker.length, self.whisker.base_stiffness))
+        fx, fy, mz = -found.load
+        base_x, base_y, base_angle = found.pose
+        x, y, cos, sin = found.states
+        section = rods.section
+        curvature = found.moment if section is None else jax.vmap(section.total_curvature)(found.moment, found.s)
+        lengths = found.lengths[rods.ranks]
+        return {
+            "fx": fx * stiffness / length**2,
+            "fy": fy * stiffness / length**2,
+            "mz": mz * stiffness / length,
+            "base_x": base_x * length,
+            "base_y": base_y * length,
+            "base_angle": base_angle,
+            "s": found.s * length,
+            "x": x * length,
+            "y": y * length,
+            "angle": jnp.unwrap(jnp.arctan2(sin, cos)),
+            "curvature": curvature / length,
+            "spring_length": _spring_lengths(self.whisker, self.support, found.pose, lengths),
+        }
 
 
 @overload
@@ -202,40 +195,8 @@ def deflect(
         given = (*given, *weight_of(whisker, gravity))
     warn_of_whisker(whisker, ROD_STEPS)
     whisker, given, support = jax.tree.map(checks.as_float, (whisker, given, support))
-    return Deflection(
-        **_deflect(whisker.without_masses(), given, support, points), whisker=whisker, loads=given, support=support
-    )
-
-
-@Program
-def _deflect(whisker: Whisker, loads: Given, support: Support, points: int) -> dict[str, Array]:
-    top, status = _solution(*jax.lax.stop_gradient((whisker, loads, support)))
-    ok = status == Status.ok
-    whisker, loads, support = safe_placeholder((whisker, loads, support), ok)
-    rods, ranks = loaded_rod(whisker, loads, support)
-    top = solution_of(misfit, jnp.where(ok, top, jax.lax.stop_gradient(rods.unbent)), rods)
-    found = bent(rods, top, points)
-    length, stiffness = whisker.length, whisker.base_stiffness
-    fx, fy, mz = -found.load
-    base_x, base_y, base_angle = found.pose
-    x, y, cos, sin = found.states
-    section = rods.section
-    curvature = found.moment if section is None else jax.vmap(section.total_curvature)(found.moment, found.s)
-    values = {
-        "fx": fx * stiffness / length**2,
-        "fy": fy * stiffness / length**2,
-        "mz": mz * stiffness / length,
-        "base_x": base_x * length,
-        "base_y": base_y * length,
-        "base_angle": base_angle,
-        "s": found.s * length,
-        "x": x * length,
-        "y": y * length,
-        "angle": jnp.unwrap(jnp.arctan2(sin, cos)),
-        "curvature": curvature / length,
-        "spring_length": _spring_lengths(whisker, support, found.pose, found.lengths[ranks]),
-    }
-    return {name: jnp.where(ok, value, jnp.nan) for name, value in values.items()} | {"status": status}
+    values = deflected(PlaneLoadCase(whisker.without_masses(), given, support), points)
+    return Deflection(**values, whisker=whisker, loads=given, support=support)
 
 
 def _spring_lengths(

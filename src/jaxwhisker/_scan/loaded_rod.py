@@ -9,7 +9,6 @@ equation (Steigenberger 2013).
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,9 +22,10 @@ from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._path.deflection import LEAST_LOAD, ROD_STEPS, AbstractLoadedRod, AtBase, Shares, Unknowns
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._rod.walk import in_order, stretches, walk
+from jaxwhisker._rod.walk import NO_POINTS, in_order, stretches, walk
 from jaxwhisker._scan.applied_loads import (
     Given,
     Loads,
@@ -37,14 +37,11 @@ from jaxwhisker._scan.applied_loads import (
     with_load,
 )
 
-ROD_STEPS = 32  # of the rod between two places
 CHECKED = np.linspace(0.0, 1.0, 17)[1:]  # points on each stretch between loads at which stability is checked
-NO_POINTS = np.zeros(0)  # besides the loads
-LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
 DRIVE = Frame(0.0, 0.0, 1.0, 0.0)  # pyright: ignore[reportArgumentType] (arrays would start JAX at import)
 
 
-class LoadedRod(eqx.Module):
+class LoadedRod(AbstractLoadedRod):
     """The dimensionless equations of one whisker, its loads and its support."""
 
     loads: Loads
@@ -55,6 +52,7 @@ class LoadedRod(eqx.Module):
     held: Float[Array, "3"]  # stiffness that is part of the compliance, but not of the support
     held_by: Attachments | None  # what holds the shaft
     laws: Laws
+    ranks: Int[Array, " springs"]  # places of the support's springs on the shaft among those from the tip to the base
 
     @property
     def free_beyond(self) -> bool:
@@ -67,6 +65,21 @@ class LoadedRod(eqx.Module):
         return self.loads.position[0] if self.free_beyond else jnp.ones(())
 
     @property
+    def uniform(self) -> bool:
+        """Whether the rod is the same everywhere."""
+        return self.section is None
+
+    @property
+    def stages(self) -> int:
+        """Springs on the shaft, if there are any, grow before the loads do."""
+        return 1 if self.held_by is None else 2
+
+    @property
+    def sizes(self) -> list[Scalar]:
+        """Sizes of the springs, if there are any, and of the loads."""
+        return [self.load] if self.held_by is None else [jnp.ones(()), self.load]
+
+    @property
     def load(self) -> Float[Array, ""]:
         """Size of all loads together, positive."""
         size = jnp.sum(jnp.abs(self.loads.force) + jnp.abs(self.loads.moment)) + LEAST_LOAD
@@ -76,13 +89,34 @@ class LoadedRod(eqx.Module):
         return size
 
     @property
-    def unbent(self) -> Float[Array, " unknowns"]:
+    def unbent(self) -> Unknowns:
         """The unknowns without springs and loads."""
         zero, (x, y, angle) = jnp.zeros(()), self.rest
         start, nothing = (x, y, -jnp.sin(angle), jnp.cos(angle)), rod.Load(None, zero, None)
         x, y, cos, sin = rod.integrate(start, -self.top, nothing, self.section, steps=16, from_base=zero)
         pose = [x, y, jnp.arctan2(sin, cos)]
         return jnp.stack(pose[2:] if self.held_by is None else pose)
+
+    def at_base(self, unknowns: Unknowns, shares: Shares) -> AtBase:
+        """The end of the rod, with shares of the springs, if there are any, and the loads."""
+        end, _, _ = _walk(self, unknowns, shares, NO_POINTS, ROD_STEPS)
+        return _at_base(self, end, shares)
+
+    def refined(self, unknowns: Unknowns, shares: Shares) -> tuple[AtBase, Bool[Array, ""]]:
+        """The end of a rod with twice as many steps, and whether the equilibrium is stable.
+
+        The poses along the rod change with the unknowns. An equilibrium under dead loads is stable if the determinant
+        of this change is positive everywhere, and that of the equations at the base as well: each zero of the
+        determinant adds an unstable mode to the part of the whisker beyond it, clamped there (Jacobi's condition).
+        """
+
+        def walked(top):
+            end, (_, states, _), _ = _walk(self, top, shares, CHECKED, -(-2 * ROD_STEPS // CHECKED.size))
+            fine, along = _at_base(self, end, shares), _pose(states)
+            return (along if self.held_by is not None else along[:, 2:], fine.missed), fine
+
+        (along, slope), fine = jax.jacfwd(walked, has_aux=True)(unknowns)
+        return fine, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0)
 
 
 class Bent(NamedTuple):
@@ -96,8 +130,8 @@ class Bent(NamedTuple):
     moment: rod.Along
 
 
-def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> tuple[LoadedRod, Int[Array, " springs"]]:
-    """The equations, and the places of the support's springs on the shaft among `Bent.lengths`."""
+def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> LoadedRod:
+    """The equations of a whisker, its loads and its support."""
     length, stiffness = whisker.length, whisker.base_stiffness
     unit = Units(*(jnp.asarray(u, dtype=float) for u in (length, stiffness / length**2, stiffness / length, length)))
     springs = attached(support, sections((whisker,), length, stiffness), unit)
@@ -113,10 +147,10 @@ def loaded_rod(whisker: Whisker, loads: Given, support: Support) -> tuple[Loaded
     section = None if whisker.uniform else whisker.section(length, stiffness)
     given, lines = sorted_loads(whisker, loads), lines_of(whisker, loads)
     laws = () if springs is None else springs.laws
-    return LoadedRod(given, lines, section, rest, jnp.diagonal(framed.matrix), held, held_by, laws), ranks
+    return LoadedRod(given, lines, section, rest, jnp.diagonal(framed.matrix), held, held_by, laws, ranks)
 
 
-def _start(top: Float[Array, " unknowns"]) -> rod.RodState:
+def _start(top: Unknowns) -> rod.RodState:
     """State of the rod at the top; its position is the origin unless it is one of the unknowns."""
     *position, angle = top
     x, y = position or (jnp.zeros(()), jnp.zeros(()))
@@ -125,26 +159,25 @@ def _start(top: Float[Array, " unknowns"]) -> rod.RodState:
 
 def _walk(
     rods: LoadedRod,
-    top: Float[Array, " unknowns"],
-    share: Scalar,
-    factor: Scalar,
+    top: Unknowns,
+    shares: Shares,
     points: Float[np.ndarray, " points"],
     steps: int,
 ):
-    """From the top to the base, with a share of the springs and `factor` times the loads.
+    """From the top to the base, with shares of the springs, if there are any, and the loads.
 
     Args:
         rods: see LoadedRod.
         top: the unknowns: see there.
-        share: of the springs' tensions.
-        factor: of the loads.
+        shares: of the springs' tensions and of the loads.
         points: on each stretch between loads: see `stretches`.
         steps: of the rod between two places.
 
     Returns:
         State and load at the end of the walk; arc lengths, states and loads at the points; states and loads at springs.
     """
-    held_by = None if rods.held_by is None else rods.held_by.weakened(share)
+    factor = shares[-1]
+    held_by = None if rods.held_by is None else rods.held_by.weakened(shares[0])
     tissue, springs = (None, None) if held_by is None else (held_by.tissue, held_by.springs)
     at, loaded, inside, _ = stretches(rods.loads.position, points, beyond=not rods.free_beyond)
     # Of places that coincide, springs come last: what the shaft carries at its base excludes those there and below.
@@ -182,58 +215,20 @@ def _pose(state: rod.RodState | rod.RodStates) -> Float[Array, "*batch 3"]:
     return jnp.stack([*map(jnp.asarray, (x, y, jnp.arctan2(-cos, sin)))], axis=-1)
 
 
-def _misfit(
-    rods: LoadedRod, end: tuple[rod.RodState, rod.Load], share: Scalar = 1.0
-) -> tuple[Float[Array, " unknowns"], Float[Array, "3"]]:
+def _at_base(rods: LoadedRod, end: tuple[rod.RodState, rod.Load], shares: Shares) -> AtBase:
     """Pose of the rod's end minus that of the base under the load there, as far as it must vanish; and the former."""
     state, load = end
     pose, total = _pose(state), _about(state[0], state[1], load)
-    total = total + share * rods.held * (pose - rods.rest)
-    missed = pose - rods.rest - rods.compliance * total
-    return missed if rods.held_by is not None else missed[2:], pose
+    if rods.held_by is None:
+        return AtBase((pose - rods.rest - rods.compliance * total)[2:], pose)
+    total = total + shares[0] * rods.held * (pose - rods.rest)
+    return AtBase(pose - rods.rest - rods.compliance * total, pose)
 
 
-def misfit(
-    top: Float[Array, " unknowns"], rods: LoadedRod, share: Scalar = 1.0, factor: Scalar = 1.0
-) -> Float[Array, " unknowns"]:
-    """The equations, with a share of the springs and `factor` times the loads: see LoadedRod."""
-    end, _, _ = _walk(rods, top, share, factor, NO_POINTS, ROD_STEPS)
-    return _misfit(rods, end, share)[0]
-
-
-class Checks(NamedTuple):
-    """What is known of a solution."""
-
-    residual: Float[Array, ""]
-    by_steps: Float[Array, ""]  # residual and change of the base's pose with twice as many steps of the rod
-    stable: Bool[Array, ""]
-
-
-def checks_of(rods: LoadedRod, top: Float[Array, " unknowns"], share: Scalar, factor: Scalar) -> Checks:
-    """Error and stability of a solution with a share of the springs and `factor` times the loads.
-
-    The poses along the rod change with the unknowns. An equilibrium under dead loads is stable if the determinant of
-    this change is positive everywhere, and that of the equations at the base as well: each zero of the determinant adds
-    an unstable mode to the part of the whisker beyond it, clamped there (Jacobi's condition).
-    """
-
-    def refined(top):
-        end, (_, states, _), _ = _walk(rods, top, share, factor, CHECKED, -(-2 * ROD_STEPS // CHECKED.size))
-        missed, pose = _misfit(rods, end, share)
-        along = _pose(states)
-        return (along if rods.held_by is not None else along[:, 2:], missed), (missed, pose)
-
-    (along, slope), (missed, pose) = jax.jacfwd(refined, has_aux=True)(top)
-    end, _, _ = _walk(rods, top, share, factor, NO_POINTS, ROD_STEPS)
-    coarse, coarse_pose = _misfit(rods, end, share)
-    residual, by_steps = (jnp.max(jnp.abs(v)) for v in (coarse, jnp.concatenate([missed, pose - coarse_pose])))
-    return Checks(residual, by_steps, jnp.all(jnp.linalg.det(along) > 0) & (jnp.linalg.det(slope) > 0))
-
-
-def bent(rods: LoadedRod, top: Float[Array, " unknowns"], points: int) -> Bent:
+def bent(rods: LoadedRod, top: Unknowns, points: int) -> Bent:
     """The equilibrium with these unknowns, and its shape at `points` points on each stretch between loads."""
     steps = -(-ROD_STEPS // (points - 1))
-    _, (s, line, load), (passed, _) = _walk(rods, top, 1.0, 1.0, np.linspace(0.0, 1.0, points), steps)
+    _, (s, line, load), (passed, _) = _walk(rods, top, jnp.ones(rods.stages), np.linspace(0.0, 1.0, points), steps)
     if rods.free_beyond:
         nothing = rod.Load(*[jnp.zeros(())] * 3)
         # A straight line needs two points.

@@ -4,23 +4,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.implicit import solution_of
-from jaxwhisker._base.leaves import safe_placeholder
-from jaxwhisker._base.load_path import follow
-from jaxwhisker._base.program import Program
 from jaxwhisker._base.rotation import matrix_of
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._path.path import Status
+from jaxwhisker._path.deflection import ROD_STEPS, AbstractLoadCase, deflected
 from jaxwhisker._rod.space import curvature
-from jaxwhisker._space.loaded import ROD_STEPS, LoadedInSpace, checks_of, loaded_in_space, misfit, walked
-
-ACCURACY = 1e-8  # largest accepted error of the base's rotation and position, by comparison with twice as many steps
-UNEVEN_ACCURACY = 1e-4  # of whiskers with functions of arc length
+from jaxwhisker._space.loaded import LoadedInSpace, loaded_in_space, walked
 
 Forces = tuple[PointForce | SpaceForce, ...]
 
@@ -54,6 +47,43 @@ class SpaceDeflection(eqx.Module):
     loads: Forces
 
 
+class SpaceLoadCase(AbstractLoadCase):
+    """A whisker in space, clamped upright at the origin, and its forces."""
+
+    whisker: Whisker
+    loads: Forces
+
+    def rods(self) -> LoadedInSpace:
+        """The equations."""
+        return loaded_in_space(self.whisker, self.loads)
+
+    def valid(self, rods: LoadedInSpace) -> Bool[Array, ""]:
+        """Whether all numbers are in their domains."""
+        valid = self.whisker.valid() & checks.all_finite((rods.force, rods.position, rods.section))
+        return valid & jnp.all((rods.position > 0) & (rods.position <= 1))
+
+    def values(self, rods: LoadedInSpace, unknowns: Array, points: int) -> dict[str, Array]:
+        """Fields of a SpaceDeflection."""
+        length, stiffness = self.whisker.length, self.whisker.base_stiffness
+        found = walked(unknowns, rods, 1.0, np.linspace(0.0, 1.0, points), -(-ROD_STEPS // (points - 1)))
+        # The last point of each stretch is the first one of the next.
+        kept = [k for k in range(found.s.size) if k % points != points - 1 or k == found.s.size - 1][::-1]
+        known = found.s, found.states, found.loads
+        s, states, loads = jax.tree.map(lambda leaf: jnp.take(leaf, np.array(kept), mode="clip"), known)
+        along = jax.vmap(lambda state, load, s: jnp.stack(curvature(state, load, rods.section, s)))(states, loads, s)
+        base = found.end[0]
+        force, moment = (jnp.stack(part) for part in (found.load.force, found.load.moment_at(base)))
+        reaction = [*(-force * stiffness / length**2), *(-moment * stiffness / length)]
+        place = [(r - own) * length for r, own in zip(states[0], base, strict=True)]
+        return {
+            **dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), reaction, strict=True)),
+            "s": s * length,
+            **dict(zip(("x", "y", "z"), place, strict=True)),
+            "rotation": matrix_of(states[1]),
+            "curvature": along / length,
+        }
+
+
 def deflect_in_space(
     whisker: Whisker, loads: tuple, support: Support, gravity: tuple | None, points: int
 ) -> SpaceDeflection:
@@ -72,49 +102,5 @@ def deflect_in_space(
     if support != Support.clamped():
         checks.fail("support", "an upright clamp in space: springs and mounts act in the plane only", repr(support))
     whisker, loads = jax.tree.map(checks.as_float, (whisker, loads))
-    return SpaceDeflection(**_deflect(whisker.without_masses(), loads, points), whisker=whisker, loads=loads)
-
-
-def _solution(whisker: Whisker, loads: Forces) -> tuple[Array, Int[Array, ""]]:
-    """Unknowns and status."""
-    rods = loaded_in_space(whisker, loads)
-    path = follow(lambda top, share: misfit(top, rods, share), jnp.zeros(3), rods.load)
-    found = checks_of(rods, path.unknowns, path.share)
-    valid = whisker.valid() & checks.all_finite((rods.force, rods.position, rods.section))
-    valid &= jnp.all((rods.position > 0) & (rods.position <= 1))
-    by_steps = ACCURACY if rods.section.uniform else UNEVEN_ACCURACY
-    exact = (found.residual < ACCURACY) & (found.by_steps < by_steps) & ((path.share == 1) | path.lost)
-    status = jnp.where(exact, jnp.where(found.stable & ~path.lost, Status.ok, Status.unstable), Status.inexact)
-    return path.unknowns, jnp.where(valid, status, Status.invalid)
-
-
-@Program
-def _deflect(whisker: Whisker, loads: Forces, points: int) -> dict[str, Array]:
-    top, status = _solution(*jax.lax.stop_gradient((whisker, loads)))
-    ok = status == Status.ok
-    whisker, loads = safe_placeholder((whisker, loads), ok)
-    rods = loaded_in_space(whisker, loads)
-    top = solution_of(misfit, jnp.where(ok, top, 0.0), rods)
-    values = _shape(rods, top, whisker, points)
-    return {name: jnp.where(ok, value, jnp.nan) for name, value in values.items()} | {"status": status}
-
-
-def _shape(rods: LoadedInSpace, top: Array, whisker: Whisker, points: int) -> dict[str, Array]:
-    """Reaction and shape at `points` points on each stretch between forces."""
-    length, stiffness = whisker.length, whisker.base_stiffness
-    found = walked(top, rods, 1.0, np.linspace(0.0, 1.0, points), -(-ROD_STEPS // (points - 1)))
-    # The last point of each stretch is the first one of the next.
-    kept = [k for k in range(found.s.size) if k % points != points - 1 or k == found.s.size - 1][::-1]
-    s, states, loads = jax.tree.map(lambda leaf: leaf[jnp.array(kept)], (found.s, found.states, found.loads))
-    along = jax.vmap(lambda state, load, s: jnp.stack(curvature(state, load, rods.section, s)))(states, loads, s)
-    base = found.end[0]
-    force, moment = (jnp.stack(part) for part in (found.load.force, found.load.moment_at(base)))
-    reaction = [*(-force * stiffness / length**2), *(-moment * stiffness / length)]
-    place = [(r - own) * length for r, own in zip(states[0], base, strict=True)]
-    return {
-        **dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), reaction, strict=True)),
-        "s": s * length,
-        **dict(zip(("x", "y", "z"), place, strict=True)),
-        "rotation": matrix_of(states[1]),
-        "curvature": along / length,
-    }
+    values = deflected(SpaceLoadCase(whisker.without_masses(), loads), points)
+    return SpaceDeflection(**values, whisker=whisker, loads=loads)

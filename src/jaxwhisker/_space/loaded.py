@@ -28,27 +28,25 @@ from jaxwhisker._base.quaternions import (
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._path.deflection import LEAST_LOAD, ROD_STEPS, AbstractLoadedRod, AtBase, Shares
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
-from jaxwhisker._rod.walk import stretches, walk
+from jaxwhisker._rod.walk import NO_POINTS, stretches, walk
 from jaxwhisker._space.section import space_section
 
-ROD_STEPS = 32  # of the rod between two forces
 NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
-NO_POINTS = np.zeros(0)  # besides the forces
-LEAST_LOAD = 1e-3  # added to the size of loads, which may vanish
 HALF = float(np.sqrt(0.5))
 CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
 
 Top = Float[Array, "3"]  # rotation vector of the whisker at its top, from its direction without loads
 
 
-class LoadedInSpace(eqx.Module):
+class LoadedInSpace(AbstractLoadedRod):
     """The dimensionless equations of one whisker and its forces."""
 
     force: Float[Array, "forces 3"]  # from the tip to the base
     position: Float[Array, " forces"]
     section: SpaceSection
-    unbent: Float[Array, "4"]  # rotation at the top without loads
+    straight: Float[Array, "4"]  # rotation at the top without loads
     free_beyond: bool = eqx.field(static=True)  # whether the whisker goes on beyond the outermost force
 
     @property
@@ -57,9 +55,35 @@ class LoadedInSpace(eqx.Module):
         return jnp.ones(()) if self.free_beyond else self.position[0]
 
     @property
-    def load(self) -> Float[Array, ""]:
-        """Size of all forces together, positive."""
-        return jnp.sum(jnp.abs(self.force)) + LEAST_LOAD
+    def uniform(self) -> bool:
+        """Whether the rod is the same everywhere."""
+        return self.section.uniform
+
+    @property
+    def stages(self) -> int:
+        """Only the forces grow."""
+        return 1
+
+    @property
+    def sizes(self) -> list[Scalar]:
+        """Size of all forces together."""
+        return [jnp.sum(jnp.abs(self.force)) + LEAST_LOAD]
+
+    @property
+    def unbent(self) -> Top:
+        """The unknowns without forces."""
+        return jnp.zeros(3)
+
+    def at_base(self, unknowns: Top, shares: Shares) -> AtBase:
+        """The end of the rod, with a share of the forces."""
+        return _at_base(walked(unknowns, self, shares[0], NO_POINTS, ROD_STEPS))
+
+    def refined(self, unknowns: Top, shares: Shares) -> tuple[AtBase, Bool[Array, ""]]:
+        """The end of a rod with at least twice as many steps, and whether the equilibrium is stable."""
+        nodes, weights = gauss(NODES)
+        found = walked(unknowns, self, shares[0], nodes, -(-2 * ROD_STEPS // (NODES + 1)))
+        along = jnp.ravel(found.lengths[:, None] * weights)
+        return _at_base(found), positive_definite(second_variation(self, found, along))
 
 
 def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]) -> LoadedInSpace:
@@ -123,44 +147,22 @@ def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, ste
         own: Vector = (force[0], force[1], force[2])
         return SpaceLoad(plus(load.force, own), plus(load.moment, cross(state[0], own)))
 
-    w, x, y, z = rods.unbent
+    w, x, y, z = rods.straight
     zero = jnp.zeros(())
     still = zero, zero, zero
     start = still, product(_rotation(top), (w, x, y, z))
     force = jnp.zeros((at.size, 3)).at[loaded].set(factor * rods.force)
     found = walk(onwards, past, start, SpaceLoad(still, still), at, force)
-    states, loads = jax.tree.map(lambda leaf: leaf[points - 1], (found.passed, found.loads))
+    states, loads = jax.tree.map(lambda leaf: jnp.take(leaf, points - 1, mode="clip"), (found.passed, found.loads))
     return WalkInSpace(at[points], states, loads, lengths, found.end, found.load)
 
 
-def _turn(q: Quaternion) -> Float[Array, "3"]:
-    """Rotation from the clamp; its derivatives at zero are those of the rotation vector."""
-    return 2 * jnp.stack(product(q, inverse_rotation(CLAMP))[1:])
-
-
-def misfit(top: Top, rods: LoadedInSpace, factor: Scalar = 1.0) -> Float[Array, "3"]:
-    """The equations, with `factor` times the forces."""
-    return _turn(walked(top, rods, factor, NO_POINTS, ROD_STEPS).end[1])
-
-
-class SpaceChecks(NamedTuple):
-    """What is known of a solution."""
-
-    residual: Float[Array, ""]
-    by_steps: Float[Array, ""]  # residual and change of the base's position with twice as many steps
-    stable: Bool[Array, ""]
-
-
-def checks_of(rods: LoadedInSpace, top: Top, factor: Scalar) -> SpaceChecks:
-    """Error and stability of a solution with `factor` times the forces."""
-    nodes, weights = gauss(NODES)
-    fine = walked(top, rods, factor, nodes, -(-2 * ROD_STEPS // (NODES + 1)))
-    coarse = walked(top, rods, factor, NO_POINTS, ROD_STEPS)
-    apart = [a - b for a, b in zip(fine.end[0], coarse.end[0], strict=True)]
-    by_steps = jnp.max(jnp.abs(jnp.stack([*_turn(fine.end[1]), *apart])))
-    along = jnp.ravel(fine.lengths[:, None] * weights)
-    stable = positive_definite(second_variation(rods, fine, along))
-    return SpaceChecks(jnp.max(jnp.abs(_turn(coarse.end[1]))), by_steps, stable)
+def _at_base(found: WalkInSpace) -> AtBase:
+    """The rod misses the clamp by a rotation, and its position does not matter."""
+    position, rotation = found.end
+    # Its derivatives at zero are those of the rotation vector.
+    turn = 2 * jnp.stack(product(rotation, inverse_rotation(CLAMP))[1:])
+    return AtBase(turn, jnp.stack(position))
 
 
 def second_variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
