@@ -116,9 +116,7 @@ def _dimensionless(
     spring: Spring, at: Scalar, section: Section | None, mount: Pose, unit: Units, law: int
 ) -> ShaftSprings:
     at = jnp.asarray(at, dtype=float) / unit.length
-    x, y, angle = _on_unloaded(at, section)
-    cos, sin = jnp.cos(mount.angle), jnp.sin(mount.angle)
-    x, y = mount.x + x * cos - y * sin, mount.y + x * sin + y * cos
+    x, y, angle = on_unloaded(at, section, mount)
     if spring.anchor is not None:
         x, y = (jnp.asarray(part, dtype=float) / unit.length for part in spring.anchor)
     turns, own, axial = spring.axis == "phi", callable(spring.stiffness), spring.axis == "axial"
@@ -128,7 +126,7 @@ def _dimensionless(
         at,
         x,
         y,
-        jnp.asarray(mount.angle + angle),
+        angle,
         jnp.zeros(()) if own else 1 / (spring.softness * stiffness),
         (jnp.abs(rest_length) if axial else rest_length) / (1.0 if turns else unit.length),
         jnp.asarray(AXIAL if axial else AXES.index(spring.axis), dtype=int),
@@ -152,15 +150,18 @@ def _tissue(support: Support, unit: Units) -> Tissue | None:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *rows)
 
 
-def _on_unloaded(at: Scalar, section: Section | None) -> tuple[Scalar, Scalar, Scalar]:
-    """Position and angle to the upright of a point of an unloaded whisker whose base is upright at the origin."""
-    zero = jnp.zeros_like(at)
-    if section is None or section.intrinsic_curvature is None:
-        return zero, at, zero
-    start, nothing = (zero, zero, zero, zero + 1.0), rod.Load(None, zero, None)
-    above = jnp.maximum(at, 0.0)
-    x, y, cos, sin = rod.integrate(start, -above, nothing, section, steps=16, from_base=zero)
-    return x, y + jnp.minimum(at, 0.0), jnp.arctan2(-cos, sin)
+def on_unloaded(at: Scalar, section: Section | None, base: Pose) -> list[Float[Array, ""]]:
+    """Position and angle to the upright of a point of an unloaded whisker whose base has this pose.
+
+    Below the base, at negative arc lengths, the whisker goes on straight.
+    """
+    x, y, turn = jnp.zeros_like(at), at, jnp.zeros_like(at)
+    if section is not None and section.intrinsic_curvature is not None:
+        start, nothing = (x, x, x, x + 1.0), rod.Load(None, x, None)
+        x, y, cos, sin = rod.integrate(start, -jnp.maximum(at, 0.0), nothing, section, steps=16, from_base=x)
+        y, turn = y + jnp.minimum(at, 0.0), jnp.arctan2(-cos, sin)
+    cos, sin = jnp.cos(base.angle), jnp.sin(base.angle)
+    return [*map(jnp.asarray, (base.x + x * cos - y * sin, base.y + x * sin + y * cos, base.angle + turn))]
 
 
 class _UnloadedProblem(NamedTuple):

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.attach import attached
+from jaxwhisker._equilibrium.attach import attached, on_unloaded
 from jaxwhisker._equilibrium.dimensionless import sections
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, past, stretched, to_next
-from jaxwhisker._model.motion import Frame
+from jaxwhisker._model.motion import Frame, Pose
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
@@ -91,10 +91,8 @@ class LoadedRod(AbstractLoadedRod):
     @property
     def unbent(self) -> Unknowns:
         """The unknowns without springs and loads."""
-        zero, (x, y, angle) = jnp.zeros(()), self.rest
-        start, nothing = (x, y, -jnp.sin(angle), jnp.cos(angle)), rod.Load(None, zero, None)
-        x, y, cos, sin = rod.integrate(start, -self.top, nothing, self.section, steps=16, from_base=zero)
-        pose = [x, y, jnp.arctan2(sin, cos)]
+        x, y, angle = on_unloaded(self.top, self.section, Pose(*self.rest))
+        pose = [x, y, angle + np.pi / 2]
         return jnp.stack(pose[2:] if self.held_by is None else pose)
 
     def at_base(self, unknowns: Unknowns, shares: Shares) -> AtBase:

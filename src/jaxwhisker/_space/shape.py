@@ -20,6 +20,7 @@ from jaxwhisker._path.path import Path, Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
+from jaxwhisker._rod.walk import in_order
 from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
@@ -120,14 +121,14 @@ def bending_of(whisker: Whisker, at: Any, s: rod.Along) -> tuple[Array, Array]:
     arc = jnp.where(at.phase == Phase.free, 0.0, at.contact_arc)
     touches = arc > 0
     # Integration steps end at equidistant points and at the places.
-    places = jnp.append(jnp.linspace(0.0, 1.0, LOADED + 1), jnp.clip(s / jnp.where(touches, arc, 1.0), 0.0, 1.0))
-    order = jnp.argsort(jax.lax.stop_gradient(places))
+    places = jnp.clip(s / jnp.where(touches, arc, 1.0), 0.0, 1.0)
+    order = in_order(jnp.linspace(0.0, 1.0, LOADED + 1), places, outwards=True)
     w, x, y, z = quaternion_of(at.base_rotation)
     contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
     start = tuple(jnp.stack([at.base_x, at.base_y, at.base_z]) - contact), (w, x, y, z)
     load = SpaceLoad((-at.fx, -at.fy, -at.fz))
-    r, q = points(start, -arc, load, section, at=places[order], from_base=jnp.zeros_like(arc))
-    r, q = jax.tree.map(lambda leaf: leaf[jnp.argsort(order)[LOADED + 1 :]], (r, q))
+    r, q = points(start, -arc, load, section, at=order.at, from_base=jnp.zeros_like(arc))
+    r, q = jax.tree.map(lambda leaf: leaf[order.ranks[1]], (r, q))
     moment = jnp.stack(turned(inverse_rotation(q), load.moment_at(r)), axis=-1)
     moment = jnp.where((touches & (s < arc))[:, None], moment, 0.0)
     about_tangent = 1.0 if section.excess is None else 1 + section.excess
