@@ -47,7 +47,7 @@ def test_the_second_variation_is_that_of_the_energy():
     rods = loaded.LoadedInSpace(rods.force, rods.position, section, rods.straight, rods.free_beyond)
     nodes, weights = gauss(20)
     found = loaded.walked(jnp.array([0.3, -0.2, 0.5]), rods, 1.0, nodes, 4)
-    form = loaded.second_variation(rods, found, jnp.asarray(weights))
+    form = loaded.variation(rods, found, jnp.asarray(weights))
     coefficients = np.random.default_rng(0).normal(size=(loaded.MODES, 3))
 
     def energy(size):

@@ -12,11 +12,8 @@ force crosses the axis of the base, the three parts are springs in series:
 
     1 / k = rho / F_x + 1 / c_z + a^2 / (k_x + F_y a).
 
-For whiskers with intrinsic curvature, the second variation (Antman, Nonlinear Problems of Elasticity, 2005, chapter 8)
-
-    integral of B phi'_n^2 + C phi'_t^2 - m (phi_x phi'_y - phi_y phi'_x) - (F . phi)(t . phi) + (F . t) |phi|^2
-
-is evaluated on polynomials, by Gaussian quadrature. Its errors fall exponentially with their degree.
+For whiskers with intrinsic curvature, the second variation (rod/second_variation.py) is evaluated on polynomials, by
+Gaussian quadrature. Its errors fall exponentially with their degree.
 """
 
 from collections.abc import Callable
@@ -41,6 +38,7 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.second_variation import BentRod, second_variation
 from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.result import Result, check_one_scan
 from jaxwhisker._scan.scan import scan
@@ -296,34 +294,28 @@ def _of_curved(whisker: Whisker, at: Contact, lateral: Lateral) -> tuple[Scalar,
     start, load = at_base(Pose(at.base_x, at.base_y, at.base_angle), (at.fx, at.fy, at.mz))
     fractions = np.append(0.0, POINTS)
     states = rod.points(start, -arc, load, material(whisker), at=jnp.asarray(fractions), from_base=jnp.zeros_like(arc))
-    x, y, cos, sin = (values[1:] for values in states)
+    x, y, cos, sin = (jnp.asarray(values[1:]) for values in states)
     force_x, force_y = -at.fx, -at.fy
     moment = (at.contact_x - x) * force_y - (at.contact_y - y) * force_x
-    stiffness = jax.vmap(whisker.stiffness_at)(jnp.asarray(arc * POINTS))
+    stiffness, none = jax.vmap(whisker.stiffness_at)(jnp.asarray(arc * POINTS)), jnp.zeros(POINTS.size)
+    tangent, force, about = (
+        jnp.stack([part + none for part in vector], axis=-1)
+        for vector in ((cos, sin, 0.0), (force_x, force_y, 0.0), (0.0, 0.0, moment))
+    )
+    bent, weights = BentRod(stiffness, lateral.torsion_ratio, tangent, force, about), arc * jnp.asarray(WEIGHTS)
+    # A constant, for the tilt of the base, and polynomials that vanish there.
+    fields, slopes = jnp.concatenate([none[None] + 1, arc * TURNS]), jnp.concatenate([none[None], RATES])
     # Unknowns, all in one unit of energy: the tilt, and the coefficients of phi_x and phi_y, which vanish at the base.
     energy = whisker.base_stiffness / whisker.length
-    base_cos, base_sin = jnp.cos(at.base_angle), jnp.sin(at.base_angle)
     softness = jnp.sqrt(energy / lateral.tilt_stiffness)
-    none = jnp.zeros((n, POINTS.size))
-    one = jnp.ones((1, POINTS.size))
-    phi_x = jnp.concatenate([softness * base_cos * one, arc * TURNS, none])
-    phi_y = jnp.concatenate([softness * base_sin * one, none, arc * TURNS])
-    rate_x = jnp.concatenate([0.0 * one, RATES + none, none])
-    rate_y = jnp.concatenate([0.0 * one, none, RATES + none])
-    bend, twist = rate_y * cos - rate_x * sin, rate_x * cos + rate_y * sin
-    force, tangent = force_x * phi_x + force_y * phi_y, cos * phi_x + sin * phi_y
-    weights = arc * WEIGHTS
+    tilt = softness * jnp.stack([jnp.cos(at.base_angle), jnp.sin(at.base_angle)])
 
-    def products(first, second):
-        return jnp.sum((weights * first)[:, None, :] * second[None, :, :], axis=-1)
+    def of_unknowns(values: Float[Array, "... n"]) -> Float[Array, "... n-1"]:
+        return jnp.concatenate([values[..., :2] @ tilt[:, None], values[..., 2:]], axis=-1)
 
-    form = products(stiffness * bend, bend) + products(lateral.torsion_ratio * stiffness * twist, twist)
-    form += products((force_x * cos + force_y * sin) * phi_x, phi_x)
-    form += products((force_x * cos + force_y * sin) * phi_y, phi_y)
-    mixed = products(moment * phi_x, rate_y) - products(moment * phi_y, rate_x) + products(force, tangent)
-    form = (form - (mixed + mixed.T) / 2) / energy
+    form = of_unknowns(of_unknowns(second_variation(bent, fields, slopes, weights, axes=2)).T) / energy
     form = form.at[0, 0].add(jnp.where(softness > 0, 1.0, jnp.max(jnp.abs(form))))
-    sideways = jnp.sum(weights * (phi_x * sin - phi_y * cos), axis=-1)
+    sideways = of_unknowns(jnp.ravel(jnp.stack([fields @ (weights * sin), -fields @ (weights * cos)], axis=1)))
     compliance = jnp.sum(sideways * solve(form, sideways[:, None])[:, 0]) / energy + 1 / lateral.stiffness
     # The base's displacement is a spring of its own, in series.
     base = jnp.sqrt(energy / lateral.stiffness)

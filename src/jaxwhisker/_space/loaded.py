@@ -29,6 +29,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.loads import PointForce, SpaceForce
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.deflection import LEAST_LOAD, ROD_STEPS, AbstractLoadedRod, AtBase, Shares
+from jaxwhisker._rod.second_variation import BentRod, second_variation
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
 from jaxwhisker._rod.walk import NO_POINTS, stretches, walk
 from jaxwhisker._space.section import space_section
@@ -83,7 +84,7 @@ class LoadedInSpace(AbstractLoadedRod):
         nodes, weights = gauss(NODES)
         found = walked(unknowns, self, shares[0], nodes, -(-2 * ROD_STEPS // (NODES + 1)))
         along = jnp.ravel(found.lengths[:, None] * weights)
-        return _at_base(found), positive_definite(second_variation(self, found, along))
+        return _at_base(found), positive_definite(variation(self, found, along))
 
 
 def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]) -> LoadedInSpace:
@@ -165,32 +166,16 @@ def _at_base(found: WalkInSpace) -> AtBase:
     return AtBase(turn, jnp.stack(position))
 
 
-def second_variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
-    """Second variation of the energy on rotation fields that vanish at the base, integrated with these weights.
-
-    For a rotation field w, with D the stiffness in the fixed frame, it is the integral of
-
-        w'.D w' - m.(w x w') - (F.w)(t.w) + (F.t) w.w.
+def variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
+    """Second variation on rotation fields that vanish at the base, integrated with these weights.
 
     The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
     """
-    top = rods.top
-    fields = jnp.stack(legendre_integrals(found.s / top, MODES)) * top
-    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / top, MODES)))
-    force, tangent = jnp.stack(found.loads.force, axis=-1), jnp.stack(third_axis(found.states[1]), axis=-1)
+    fields = jnp.stack(legendre_integrals(found.s / rods.top, MODES)) * rods.top
+    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / rods.top, MODES)))
+    tangent, force = (jnp.stack(part, axis=-1) for part in (third_axis(found.states[1]), found.loads.force))
     moment = jnp.stack(found.loads.moment_at(found.states[0]), axis=-1)
     flexible = jax.vmap(rods.section.compliance)(found.s)
     bending = jnp.where(flexible > 0, 1 / jnp.where(flexible > 0, flexible, 1.0), 0.0)
-    excess = 0.0 if rods.section.excess is None else rods.section.excess
-    along = tangent[:, :, None] * tangent[:, None, :]
-    stiffness = bending[:, None, None] * (jnp.eye(3) - excess / (1 + excess) * along)
-    turning = jnp.cross(moment[:, None, :], jnp.eye(3)[None])  # m.(a x b) of the axes a and b
-    both = force[:, :, None] * tangent[:, None, :]
-    loading = jnp.sum(force * tangent, axis=-1)[:, None, None] * jnp.eye(3) - both
-
-    def form(a, matrix, b):
-        return jnp.einsum("p,ip,pab,jp->iajb", weights, a, matrix, b)
-
-    total = form(slopes, stiffness, slopes) - form(fields, turning, slopes) + form(fields, loading, fields)
-    matrix = jnp.reshape(total, (3 * MODES, 3 * MODES))
-    return (matrix + matrix.T) / 2
+    ratio = 1.0 if rods.section.excess is None else 1 / (1 + rods.section.excess)
+    return second_variation(BentRod(bending, ratio, tangent, force, moment), fields, slopes, weights)
