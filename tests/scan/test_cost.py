@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.detect import detect, kinds_of
-from jaxwhisker._scan.plane import Plane, canonical_problem_now, follow_path_now, problem_now
+from jaxwhisker._scan.plane import InThePlane, canonical_problem_now, follow_path_now, problem_now
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.slopes import event_slopes_now, events_now, solved_states_now, state_slopes_now
@@ -192,7 +192,7 @@ def test_the_search_for_second_contacts_has_a_limited_number_of_operations():
         circles = tuple(jw.Circle(0.5, 0.2, position=0.7 * k) for k in range(objects))
         scene = jw.Scene(jw.Whisker(intrinsic_curvature=0.2), circles)
         problem, kinds = dimensionless(scene), kinds_of(scene)
-        path = jax.eval_shape(lambda problem: Plane.follow(problem, *map(jnp.asarray, across())).path, problem)
+        path = jax.eval_shape(lambda problem: InThePlane.follow(problem, *map(jnp.asarray, across())).path, problem)
         whole = traced(lambda problem, path, kinds=kinds: detect(problem, path, kinds), problem, path)
         assert 0.8 * SEARCH < operations(whole) < 1.1 * SEARCH
 
@@ -216,17 +216,17 @@ def test_programs_of_a_scan_have_a_limited_size():
     problem = problem_now(scene)
     step = np.zeros(BLOCK)
     path = follow_path_now(problem, *map(np.asarray, across())).path
-    *_, solutions = solved_states_now(Plane, problem, path, step, step, None)
+    *_, solutions = solved_states_now(InThePlane, problem, path, step, step, None)
     calls = {
         canonical_problem_now: (canonical(scene),),
         follow_path_now: (problem, *map(np.asarray, across())),
-        solved_states_now: (Plane, problem, path, step, step, None),
-        events_now: (Plane, problem, path, None),
-        state_slopes_now: (Plane, problem, step, solutions, None),
-        event_slopes_now: (Plane, problem, path, None),
+        solved_states_now: (InThePlane, problem, path, step, step, None),
+        events_now: (InThePlane, problem, path, None),
+        state_slopes_now: (InThePlane, problem, step, solutions, None),
+        event_slopes_now: (InThePlane, problem, path, None),
     }
     for program, args in calls.items():
-        static = (0,) if args[0] is Plane else ()
+        static = (0,) if args[0] is InThePlane else ()
         lowered = jax.jit(program.function, static_argnums=static).lower(*args)
         fusions = program.executable(*args).as_text().count(" fusion(")
         most_operations, *most_fusions = SIZES[program.function.__name__]

@@ -10,13 +10,13 @@ import pytest
 import jaxwhisker as jw
 from engine import dimensionless
 from jaxwhisker._scan.mechanics import Mechanics
-from jaxwhisker._scan.plane import Plane
+from jaxwhisker._scan.plane import InThePlane
 from jaxwhisker._scan.space import Space
 
 FREE = jw.Scene(jw.Whisker(), jw.Parabola(0.3)), jw.Scene(jw.Whisker(), jw.Sphere(0.3, (0.0, 0.8, 0.1)))
 
 
-@pytest.mark.parametrize("mechanics", [Plane, Space])
+@pytest.mark.parametrize("mechanics", [InThePlane, Space])
 def test_a_mechanics_has_all_methods_with_the_same_arguments(mechanics):
     assert mechanics.__abstractmethods__ == frozenset()
     for name, method in vars(Mechanics).items():
@@ -27,7 +27,7 @@ def test_a_mechanics_has_all_methods_with_the_same_arguments(mechanics):
         assert hasattr(mechanics, name), name
 
 
-@pytest.mark.parametrize(("mechanics", "scene"), list(zip((Plane, Space), FREE, strict=True)))
+@pytest.mark.parametrize(("mechanics", "scene"), list(zip((InThePlane, Space), FREE, strict=True)))
 def test_a_scan_without_friction_remembers_nothing(mechanics, scene):
     problem = dimensionless(scene)
     stops = np.array([1.0, 0.9])

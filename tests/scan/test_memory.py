@@ -12,7 +12,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.path import Node, Path
 from jaxwhisker._scan.mechanics import Solutions
 from jaxwhisker._scan.memory import Memory, memory_of
-from jaxwhisker._scan.plane import Plane
+from jaxwhisker._scan.plane import InThePlane
 
 
 def state(steps, places=None):
@@ -56,7 +56,7 @@ def solutions():
 
 def remembered(known):
     path: Any = None
-    found = Plane.remembered(Memory(jnp.zeros(3), known, known), path, solutions())
+    found = InThePlane.remembered(Memory(jnp.zeros(3), known, known), path, solutions())
     assert found is not None
     return found
 
@@ -78,4 +78,4 @@ def test_derivatives_pass_from_nodes_to_steps():
 
 def test_without_friction_there_is_no_memory():
     path: Any = None
-    assert Plane.remembered(None, path, solutions()) is None
+    assert InThePlane.remembered(None, path, solutions()) is None

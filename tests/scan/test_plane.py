@@ -6,7 +6,7 @@ import pytest
 import jaxwhisker as jw
 from engine import dimensionless
 from jaxwhisker._scan.detect import kinds_of
-from jaxwhisker._scan.plane import Plane, check_valid, path_through
+from jaxwhisker._scan.plane import InThePlane, check_valid, path_through
 
 STOPS, LAST = np.array([1.9, -2.7]), np.asarray(1)
 # A curved whisker that passes into the parabola unless second contacts are detected.
@@ -20,8 +20,8 @@ DEEP = jw.Scene(
 def test_a_path_ends_where_a_second_contact_begins():
     problem, kinds = dimensionless(DEEP), kinds_of(DEEP)
     assert kinds == ("second_contact",)
-    whole = Plane.follow(problem, STOPS, LAST)
-    cut = Plane.detected(DEEP, problem, whole.path)
+    whole = InThePlane.follow(problem, STOPS, LAST)
+    cut = InThePlane.detected(DEEP, problem, whole.path)
     assert whole.path.status == jw.Status.ok and cut.status == jw.Status.second_contact
     assert int(cut.count) < int(whole.path.count)
     assert path_through(problem, kinds, STOPS, LAST).path.count == cut.count

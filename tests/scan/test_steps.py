@@ -13,7 +13,7 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.point import Point, scale_of
 from jaxwhisker._path.path import NO_EVENT, Node, Path
-from jaxwhisker._scan.plane import Plane
+from jaxwhisker._scan.plane import InThePlane
 from jaxwhisker._scan.steps import interpolate, solved_states
 
 EXACT = 1e-9  # relative: solved from whatever is near
@@ -28,7 +28,7 @@ interpolated = Program(interpolate)
 
 @Program
 def solved_steps(problem, path, control, travel):
-    return solved_states(Plane, problem, path, control, travel)[:2]
+    return solved_states(InThePlane, problem, path, control, travel)[:2]
 
 
 def controls_of(at, stiffness=STIFFNESS):

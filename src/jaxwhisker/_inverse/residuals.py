@@ -32,7 +32,7 @@ from jaxwhisker._path.path import EventKind, is_snap
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.channels import result_of
 from jaxwhisker._scan.events import EventTable, event_table
-from jaxwhisker._scan.plane import Plane
+from jaxwhisker._scan.plane import InThePlane
 from jaxwhisker._scan.route import Route
 from jaxwhisker._scan.scan import mechanics_of
 from jaxwhisker._scan.steps import solved_states
@@ -219,7 +219,7 @@ def _misfit(build, unknowns: Unknowns, x: Float[Array, " own"], data: Samples) -
     shift = parts.shift[0] if unknowns.shift else jnp.zeros(())
     scene = jax.tree.map(checks.as_float, build(**dict(zip(unknowns.build, parts.build, strict=True))))
     mechanics = mechanics_of(scene)
-    problem = problem_of(scene) if mechanics is Plane else mechanics.problem(scene)
+    problem = problem_of(scene) if mechanics is InThePlane else mechanics.problem(scene)
     path, start, _ = mechanics.follow(problem, data.stops + shift, data.last)
     path = mechanics.detected(scene, problem, path)
     memory = mechanics.memory(problem, path, data.stops + shift)

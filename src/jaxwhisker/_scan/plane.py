@@ -69,7 +69,7 @@ detect_now = Program(detect, frozen=True, together=LANES)
 spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 
 
-class Plane(Mechanics):
+class InThePlane(Mechanics):
     """Whiskers in the plane."""
 
     most_numbers, block, result, events = 64, BLOCK, Result, Events
@@ -104,7 +104,7 @@ class Plane(Mechanics):
     def memory(problem: Problem, path: Path, stops: Any) -> Memory | None:
         if problem.friction_angle is None or not checks.is_traced((problem, stops)):
             return memory_of(path)
-        return memory_now(Plane, problem, path, stops)
+        return memory_now(InThePlane, problem, path, stops)
 
     @staticmethod
     def remember(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> Memory:

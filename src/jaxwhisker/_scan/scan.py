@@ -24,7 +24,7 @@ from jaxwhisker._model.scene import AbstractScene, Scene
 from jaxwhisker._path.path import Path, ScanPath, Status, room_for
 from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory
-from jaxwhisker._scan.plane import Plane
+from jaxwhisker._scan.plane import InThePlane
 from jaxwhisker._scan.result import Result, SpaceResult
 from jaxwhisker._scan.route import (
     TRACED_STEPS,
@@ -112,7 +112,7 @@ def mechanics_in(*, space: bool, contacts: int) -> type[Mechanics]:
 
         return SeveralContacts
     if not space:
-        return Plane
+        return InThePlane
     from jaxwhisker._scan.space import Space
 
     return Space

@@ -28,7 +28,7 @@ from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import EventKind, Path
 from jaxwhisker._scan.mechanics import Solutions
-from jaxwhisker._scan.plane import Plane, check_valid, follow_path_now, problem_now
+from jaxwhisker._scan.plane import InThePlane, check_valid, follow_path_now, problem_now
 from jaxwhisker._scan.route import across
 from jaxwhisker._scan.slopes import events_now
 from jaxwhisker._scan.steps import solve_steps, states
@@ -105,7 +105,7 @@ def steepest(whisker: Whisker, profile: AbstractProfile) -> Steepest:
     if not checks.is_traced(scene):
         check_valid(scene, problem)
     path, start, _ = follow_path_now(problem, *map(jnp.asarray, across()))
-    events = events_now(Plane, problem, path, None)
+    events = events_now(InThePlane, problem, path, None)
     passes, places = events.kind == EventKind.vertex, jax.lax.stop_gradient(events.control)
     found, first = jnp.any(passes), jax.lax.stop_gradient(problem.unit.control * problem.touch_right.x[0])
     last = jnp.where(found, places[jnp.argmax(passes)], first)
@@ -126,7 +126,7 @@ def _search(
 
     def narrower(ends, _):
         x = jnp.linspace(ends[0], ends[1], SEARCH_STEPS)
-        solutions = solve_steps(Plane, problem, path, x, start - x)
+        solutions = solve_steps(InThePlane, problem, path, x, start - x)
         slope, force = _slopes(problem, x, solutions)
         k = jnp.argmax(jnp.where(jnp.isfinite(slope) & (force > 0), slope, -jnp.inf))
         around = x[jnp.maximum(k - 1, 0)], x[jnp.minimum(k + 1, SEARCH_STEPS - 1)]
@@ -142,7 +142,7 @@ def _slopes(
     """dF_x/dx0 and the contact force at solved positions of the clamped base."""
 
     def force(base_x):
-        state, *_ = states(Plane, problem, base_x, solutions)
+        state, *_ = states(InThePlane, problem, base_x, solutions)
         return -state.fx[:, 0], state.contact_force[:, 0]
 
     (_, size), (slope, _) = jax.jvp(force, (base_x,), (jnp.ones_like(base_x),))
