@@ -1,5 +1,7 @@
 """The solver: several points in one loop, and how accurate contacts that stick must be."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,7 @@ from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.point import Point, at_control, scale_of
-from jaxwhisker._equilibrium.solver import FINER, SMALL, SMALLEST, _of_sticking, solve_points
+from jaxwhisker._equilibrium.solver import FINER, SMALL, SMALLEST, StructuredNewton, _of_sticking, solve_points
 
 EXACT = 1e-9  # of solved contacts, in their scale
 PAIR = 1.3, 0.4  # parameters of exact contacts of two whiskers, in equilibrium at control 0
@@ -55,3 +57,20 @@ def test_contacts_that_stick_must_be_more_accurate():
     np.testing.assert_allclose(weighted, np.stack([others, leans, others], axis=1))
     slips = state._replace(friction=friction._replace(slip=jnp.ones(4, int)))
     np.testing.assert_array_equal(Program(_of_sticking)(changes, z, (None, slips)), changes)
+
+
+@pytest.mark.parametrize(("both", "steps"), [(False, 1), (True, 2)])
+def test_residuals_before_a_short_step_must_be_small_too_if_asked(both, steps):
+    stiff, near = 1e3, 1e-7  # a change of the unknowns changes the residual by so much more
+
+    def equations(point, _):
+        step = Point(-point.z, -point.u)
+        return stiff * jnp.max(jnp.abs(point.z)), SimpleNamespace(step=step)
+
+    guess = Point(jnp.full((1, 3), near), jnp.zeros(()))
+    solver = StructuredNewton(0.0, 1e-6, both=both)
+    state, count = solver.init(equations, guess, None, {}, None, None, frozenset()), 0
+    while not bool(solver.terminate(equations, guess, None, {}, state, frozenset())[0]):
+        guess, state, _ = solver.step(equations, guess, None, {}, state, frozenset())
+        count += 1
+    assert count == steps and np.all(guess.z == 0)

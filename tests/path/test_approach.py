@@ -63,3 +63,10 @@ def test_it_stays_within_the_limits():
     near = Limits(jnp.asarray(0.9 + MARGIN / 2), LIMITS.end, jnp.asarray(-0.6 - MARGIN / 2))
     _, start, stop = crop(jnp.asarray(-1), path(touches=[True] * 5), near, jnp.asarray(True))
     np.testing.assert_allclose([float(start), float(stop)], [float(near.start), float(near.far)], atol=ROUNDING)
+
+
+def test_it_ends_where_a_path_without_a_contact_fails():
+    free = path(touches=[False] * 5, kinds=(NO_EVENT,) * 5)
+    failed = free._replace(status=jnp.asarray(int(Status.lost)))
+    _, start, stop = crop(jnp.asarray(-1), failed, LIMITS, jnp.asarray(True))
+    np.testing.assert_allclose([start, stop], [-0.6 + MARGIN, -0.6 - MARGIN], atol=ROUNDING)

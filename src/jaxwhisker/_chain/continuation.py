@@ -53,7 +53,7 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import first_dip
 from jaxwhisker._path.path import NO_EVENT, Node, Status, select
-from jaxwhisker._path.transitions import FIRST_STEP, SHORTER
+from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP, SHORTER
 
 LONGEST_STEP = 0.1  # lengths
 LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
@@ -62,7 +62,6 @@ NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
 SAME = 1e-3  # difference of contacts that have not gone anywhere
 TRIES = 6  # of the contacts in which whiskers come to rest
-AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
 OF_ROWS = (RELEASE, PHASE, LOW, HIGH, LEAN)  # kinds of margins that belong to existing contacts
 CLEAR_STEP = 2e-4  # lengths by which free whiskers may move although they might dip into an object
 FORCE_ERROR = 0.5  # largest relative error of the predicted force of a contact that sticks

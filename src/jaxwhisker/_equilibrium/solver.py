@@ -38,6 +38,7 @@ class StructuredNewton(optx.AbstractRootFinder):
     atol: float
     stages: bool = False
     weigh: Callable[[Contacts, Contacts, Any], Contacts] | None = None  # changes of contacts, by contacts and args
+    both: bool = False  # whether the tolerance applies to the residuals before the last step, too
     norm: Any = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
@@ -46,7 +47,7 @@ class StructuredNewton(optx.AbstractRootFinder):
 
     def step(self, fn, y, args, options, state, tags):
         del options, tags
-        _, newton = fn(y, args)
+        residual, newton = fn(y, args)
         step = newton.step
         changes, change_u = jnp.abs(step.z) / scale_of(y.z), jnp.abs(step.u)
         if self.weigh is not None:
@@ -54,6 +55,8 @@ class StructuredNewton(optx.AbstractRootFinder):
         if self.stages:
             changes, change_u = jnp.max(changes, axis=-3), jnp.max(change_u, axis=-1)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), change_u)
+        if self.both:
+            size = jnp.maximum(size, jnp.where(jnp.isinf(residual), 0.0, residual))  # infinite beyond the base
         if size.ndim > 0:
             solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)
             # The loop would end for all points as soon as one is not finite.

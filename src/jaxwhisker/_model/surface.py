@@ -1,7 +1,7 @@
-"""The object in space: a rigid, strictly convex body inside its surface, which whiskers touch.
+"""The object in space: a rigid, convex body inside its surface, which whiskers touch.
 
 Frame: x along the scan, y up, z = x cross y. Surfaces whose equation is quadratic become one class, `Quadric`, however
-they are placed, so that scenes with any of them share their programs.
+they are placed, so that scenes with any of them share their programs. So do capsules and boxes (`rounded.py`).
 """
 
 import abc
@@ -81,6 +81,11 @@ class AbstractSurface(eqx.Module):
     def interior_point(self) -> Point:
         """A point inside the object: its centre, or a point near the vertex or axis of an unbounded object."""
 
+    def absorbed(self, turn: Float[Array, "3 3"], before: Point, after: Point) -> "AbstractSurface | None":
+        """A surface of the same class after a motion that takes a point to another one; None if there is none."""
+        del turn, before, after
+        return None
+
     def moved(self, by: Vector) -> "Placed":
         """The surface after a shift.
 
@@ -104,6 +109,11 @@ class AbstractSurface(eqx.Module):
             ValueError: if an argument is not three finite numbers.
         """
         return Placed(self, rotation=rotation, about=about)
+
+    def stretch(self, x: Point, way: Point) -> Float[Array, ""]:
+        """How often one may go this way from a point before the curvature changes abruptly; infinite if nowhere."""
+        del x, way
+        return jnp.asarray(jnp.inf)
 
     def thickness(self) -> Float[Array, ""]:
         """Roughly the least half thickness of the object, a length; infinite if unknown."""
@@ -167,12 +177,8 @@ class Placed(AbstractSurface):
     def in_unit(self, length):
         about = None if self.about is None else _over(self.about, length)
         placed = Placed(self.surface.in_unit(length), _over(self.by, length), self.rotation, about)
-        quadric = placed.surface
-        if not isinstance(quadric, Quadric):
-            return placed
-        turn, before, after = placed._place()
-        inside = after + _times(turn, quadric.inside - before)
-        return Quadric(inside, _turned(turn, quadric.matrix), _times(turn, quadric.slope), quadric.depth)
+        absorbed = placed.surface.absorbed(*placed._place())
+        return placed if absorbed is None else absorbed
 
     def interior_point(self):
         turn, before, after = self._place()
@@ -208,6 +214,10 @@ class Quadric(AbstractSurface):
 
     def in_unit(self, length):
         return Quadric(self.inside / length, self.matrix * length, self.slope, self.depth / length)
+
+    def absorbed(self, turn, before, after):
+        inside = after + _times(turn, self.inside - before)
+        return Quadric(inside, _turned(turn, self.matrix), _times(turn, self.slope), self.depth)
 
     def interior_point(self):
         return self.inside

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.continuation import Limits
-from jaxwhisker._path.path import Path
+from jaxwhisker._path.path import Path, Status
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
 
@@ -16,7 +16,9 @@ def crop(
     """The path, and the first and last control at which whiskers touch on it, with a margin."""
     nodes = path.nodes
     known = jnp.any(nodes.state.phase != Phase.free, axis=1) | (nodes.kind >= 0)
-    known &= jnp.arange(nodes.kind.shape[0]) < path.count
+    place = jnp.arange(nodes.kind.shape[0])
+    known &= place < path.count
+    known |= (place == path.count - 1) & (path.status != Status.ok)  # a base may arrive at a wall before a whisker does
     way = onwards * nodes.point.u
     some = jnp.any(known)
     first = jnp.where(some, jnp.min(jnp.where(known, way, jnp.inf)) - MARGIN, onwards * limits.start)

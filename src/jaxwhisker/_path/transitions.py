@@ -18,6 +18,7 @@ from jaxwhisker._path.path import STOP, Status, first_case
 FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the path is smooth
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
+AT_BASE = 0.02  # lengths from the base, where no contact begins, and forces grow without bound
 SHORTER = 0.4  # of a step that was too long
 
 
@@ -102,6 +103,8 @@ def _touches_otherwise(mechanics: Continuation, march: MarchState, trial: Trial)
     touches = target.whiskers & (target.number == mechanics.touch)
     tip, slack = target.first.phase == Phase.tip, jnp.where(touches, trial.point.z[:, SLACK], 0.0)
     other = trial.converged & (jnp.where(tip, slack, -slack) > mechanics.margin_noise)
+    # A base that arrives at the object touches in neither way.
+    other &= target.first.contact[:, SLACK] < (1 - AT_BASE) * mechanics.problem.length
     phase = jnp.where(other, jnp.where(tip, Phase.tangential, Phase.tip), target.first.phase)
     first = target.first._replace(phase=phase, contact=target.first.contact.at[:, SLACK].multiply(~other))
     return [(jnp.any(other), march.replace(target=target._replace(first=first)))]

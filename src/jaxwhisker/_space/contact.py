@@ -203,9 +203,9 @@ def on_surface(surface: AbstractSurface, z: Contact) -> Vector:
 def spread(body: SpaceWhisker, surface: AbstractSurface, z: Contact, phase: Int[Array, ""]) -> Scalar:
     """How fast whisker and surface part on both sides of a tangential contact: g_ss, a curvature.
 
-    Where it is not positive, the shaft curves more than the object, and one contact point becomes two. A tip that
-    hardly points into the object is nearly a tangential contact: its shaft would enter the object beside the tip. For
-    other tips it is infinite.
+    Where it is negative, the shaft curves more than the object, and one contact point becomes two. It is zero where a
+    straight whisker lies on a flat object beyond its contact, without a force. A tip that hardly points into the object
+    is nearly a tangential contact: its shaft would enter the object beside the tip. For other tips it is infinite.
     """
     ahead = frame_of(surface, z)[:, 0]
     own: Scalar = 0.0

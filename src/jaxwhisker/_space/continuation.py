@@ -15,7 +15,7 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Margins, first_crossed, first_dip
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, select
-from jaxwhisker._path.transitions import FIRST_STEP
+from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.flow import FIRST_TIME, after_flow, clinging, sliding
@@ -35,15 +35,13 @@ from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.shape import until_second_contact
 from jaxwhisker._space.slip import ContactMotion, SpaceContactState, without_traction
 from jaxwhisker._space.stance import SpaceStance, stance_of
+from jaxwhisker._space.step_length import LOSS_BRACKET, branches, longest_step, step_to_loss
 
 LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
-LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object
 TOUCHING = 1e-9  # depth of a free whisker that counts as a touch: one that has just been released is at 0
 PASSED = 0.25  # lengths from the object at which a scan right across it ends
 MARGIN_NOISE = 1e-11
-AT_BASE = 0.02  # lengths from the base: forces grow without bound where a contact gets there
-FOLD = 1e-3  # rate of the control at a loss, per arc length, below which it is a fold
 NODES = 96  # for every whisker on every leg of the drive, and as many more; a scan of one whisker takes about 60
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
 
@@ -222,12 +220,16 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         # The Illinois rule keeps false position from creeping.
         size = jnp.where(again, march.size / 2, march.size)
         closer = march.replace(unstable_at=distance, unstable_size=trial.stance.stiffness, size=size)
-        return closer.replace(step=_to_loss(closer))
+        return closer.replace(step=step_to_loss(closer))
 
     # The end of a step along the path.
 
     def accepts(self, march: MarchInSpace, trial: TrialInSpace):
-        return trial.stance.sound, jnp.inf
+        if self.problem.friction is not None:
+            return trial.stance.sound, jnp.inf
+        # A stable path goes on with the drive: there are two folds within a step that goes back.
+        back = march.direction * (trial.point.u - march.point.u) < -MARGIN_NOISE
+        return trial.stance.sound & ~(trial.stable & back), jnp.inf
 
     def dip(self, march: MarchInSpace, trial: TrialInSpace, violated):
         straight = dot(march.tangent, self.measured(trial.tangent), scale_of(march.point.z))
@@ -242,8 +244,8 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     def after_loss(self, march: MarchInSpace, moved: MarchInSpace, trial: TrialInSpace, node, loss):
         # At a fold, contacts slide on in the direction of the path. A bifurcation is symmetric: they may go either way.
-        branches = jnp.abs(march.tangent.u) >= FOLD
-        return select(branches, march.stopped(Status.undetermined), sliding(self.problem, march))
+        forks = branches(march, trial)
+        return select(forks, march.stopped(Status.undetermined), sliding(self.problem, march))
 
     def ends(self, march: MarchInSpace, trial: TrialInSpace, loss, turned: MarchInSpace):
         beyond = trial.point.z[:, SLACK] > (1 - AT_BASE) * self.problem.length
@@ -266,8 +268,8 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
     def written(self, march: MarchInSpace, trial: TrialInSpace, node, loss: Loss):
         # While all whiskers are free, nothing happens between events.
         plain = trial.stable & trial.stance.opens & jnp.any(march.phase != Phase.free)
-        branches = ~trial.stable & loss.located & (jnp.abs(march.tangent.u) >= FOLD)
-        return plain | branches, select(branches, self._bifurcation(march, trial), node)
+        forks = ~trial.stable & loss.located & branches(march, trial)
+        return plain | forks, select(forks, self._bifurcation(march, trial), node)
 
     def _bifurcation(self, march: MarchInSpace, trial: TrialInSpace) -> Node:
         """The node where stability is lost, within a short step."""
@@ -278,9 +280,9 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     def onwards(self, march: MarchInSpace, moved: MarchInSpace, trial: TrialInSpace, factor):
         length = jnp.minimum(factor * march.step, jnp.where(jnp.all(moved.phase == Phase.free), jnp.inf, LONGEST_STEP))
-        length = jnp.minimum(length, _clear(moved.stance, moved.tangent))
+        length = jnp.minimum(length, longest_step(self.problem, moved, moved.stance))
         return moved.replace(
-            step=jnp.where(jnp.isfinite(moved.unstable_at), jnp.minimum(length, _to_loss(moved)), length)
+            step=jnp.where(jnp.isfinite(moved.unstable_at), jnp.minimum(length, step_to_loss(moved)), length)
         )
 
     # The point of an event.
@@ -354,7 +356,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         z = jnp.where(stance.free[:, None], stance.nearest.contact, trial.point.z)
         return onwards.replace(
             point=Point(z, trial.point.u),
-            step=jnp.minimum(self.first_step, _clear(stance, onwards.tangent)),
+            step=jnp.minimum(self.first_step, longest_step(self.problem, onwards, stance)),
             size=stance.stiffness,
             unstable_size=jnp.asarray(-1.0),
         )
@@ -381,18 +383,3 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     def to_snap(self, march: MarchInSpace):
         return sliding(self.problem, march)
-
-
-def _to_loss(march: MarchInSpace) -> Scalar:
-    """Length of the step that is expected to reach the loss of stability."""
-    share = march.size / (march.size - march.unstable_size)
-    share = jnp.where(march.unstable_size < 0, share, 0.5)
-    share = jnp.clip(jnp.where(jnp.isfinite(share), share, 0.5), 0.02, 0.98)
-    # A last step to the unstable state itself, which false position approaches for ever.
-    return march.unstable_at * jnp.where(march.unstable_at < LOSS_BRACKET, 1.0, share)
-
-
-def _clear(stance: SpaceStance, tangent: Point) -> Scalar:
-    """Length of a step in which free whiskers cannot pass through the object unnoticed."""
-    speed = jnp.maximum(stance.speed * jnp.abs(tangent.u), 1e-12)
-    return jnp.min(jnp.where(stance.free, stance.advance / speed, jnp.inf))

@@ -196,7 +196,8 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
     tolerance = problem.rod.newton_tolerance
     solution = optx.root_find(
         residuals,
-        StructuredNewton(0.0, tolerance, stages=True),
+        # Where the surface is strongly curved, small steps turn its normal by much more.
+        StructuredNewton(0.0, tolerance, stages=True, both=True),
         guesses,
         args=jax.lax.stop_gradient((problem, equations)),
         has_aux=True,

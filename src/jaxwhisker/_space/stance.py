@@ -21,6 +21,7 @@ from jaxwhisker._space.sliding import sliding_stiffness
 
 SHALLOW = 5e-8  # lengths: dips of free whiskers of this depth may be missed
 LONGEST_ADVANCE = 2e-4  # lengths by which whiskers may move before a flat object, although they might dip into it
+FLAT = 1e-12  # curvatures that are rounding errors: a straight whisker lies on a flat object
 STILL = 1e-12  # speeds that are rounding errors
 
 
@@ -35,7 +36,7 @@ class SpaceStance(NamedTuple):
     stiffness: Scalar  # the determinant of the sliding stiffness: vanishes where stability is lost
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
     grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction
-    opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
+    opens: Bool[Array, ""]  # whether object and shaft do not cross on both sides of every contact
 
 
 def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, grip: Array | None) -> SpaceStance:
@@ -76,7 +77,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, gr
         stiffness=stiffness,
         sound=jnp.all(free | jnp.isfinite(at.own)),
         grip=grip,
-        opens=jnp.all(free | (opens > 0)),
+        opens=jnp.all(free | (opens > -FLAT)),
     )
 
 
