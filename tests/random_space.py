@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from space_laws import UPRIGHT, Plain, Surface, _left_jacobian
+from space_laws import UPRIGHT, Plain, RoundedCore, Surface, _left_jacobian
 
 
 class Cone(eqx.Module):
@@ -36,28 +36,57 @@ KINDS = tuple(
     for drive in ("linear", "whisk")
 )
 SURFACES = "sphere", "ellipsoid", "cylinder", "paraboloid"
+EVERYDAY = "capsule", "box", "plane"  # a plane only with linear drives
 
 
 def surface_drawn(rng, kind: str, size: float):
-    """A surface about the origin, and its plain form."""
+    """A surface about the origin, and its plain form with another point in place of the origin."""
     turn = tuple(map(float, rng.normal(size=3) * 0.6))
     if kind == "sphere":
-        return jw.Sphere(size, (0.0, 0.0, 0.0)), np.eye(3) / size, np.zeros(3), size / 2
+        return jw.Sphere(size, (0.0, 0.0, 0.0)), lambda at: Surface(at, np.eye(3) / size, np.zeros(3), size / 2)
     if kind == "ellipsoid":
         axes = tuple(map(float, size * rng.uniform(0.5, 1.0, 3)))
         r = Rotation.from_rotvec(turn).as_matrix()
         plain = r @ np.diag(axes[1] / np.array(axes) ** 2) @ r.T
-        return jw.Ellipsoid(axes, (0.0, 0.0, 0.0)).rotated(turn), plain, np.zeros(3), axes[1] / 2
+        ellipsoid = jw.Ellipsoid(axes, (0.0, 0.0, 0.0)).rotated(turn)
+        return ellipsoid, lambda at: Surface(at, plain, np.zeros(3), axes[1] / 2)
+    if kind == "box":
+        edges = size * rng.uniform(0.7, 1.7, 3)
+        radius = float(np.min(edges) * rng.uniform(0.05, 0.4))
+        box = jw.RoundedBox(tuple(map(float, edges)), radius, (0.0, 0.0, 0.0)).rotated(turn)
+        axes = Rotation.from_rotvec(turn).as_matrix().T
+        half = edges / 2 - radius
+        width = min(0.1 * radius, np.min(half))
+        return box, lambda at: RoundedCore(at, axes, half, np.full(3, width), np.hypot(radius, np.sqrt(0.2) * width))
+    if kind == "plane":
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        return jw.Plane((0.0, 0.0, 0.0), tuple(map(float, normal))), lambda at: Surface(
+            at, np.zeros((3, 3)), normal, 0.0
+        )
+    if kind == "capsule":
+        axis, unit = _axis_drawn(rng)
+        radius, far = 0.5 * size, rng.uniform(0.2, 3.0) * rng.choice([-1, 1])
+        capsule = jw.Capsule(radius, (0.0, 0.0, 0.0), tuple(map(float, far * unit)))
+        axes = np.linalg.svd(unit[None])[2]
+        half = np.array([abs(far) / 2, 0.0, 0.0])
+        return capsule, lambda at: RoundedCore(at + far * unit / 2, axes, half, np.minimum(0.1 * radius, half), radius)
     if kind == "cylinder":
-        tilt, lift = rng.uniform(-0.9, 0.9), rng.uniform(-0.3, 0.3)
-        axis = np.array([np.sin(tilt), np.sin(lift), np.cos(tilt)])
-        unit = axis / np.linalg.norm(axis)
+        axis, unit = _axis_drawn(rng)
         plain = (np.eye(3) - np.outer(unit, unit)) / size
-        return jw.Cylinder(size, (0.0, 0.0, 0.0), tuple(map(float, axis))), plain, np.zeros(3), size / 2
+        cylinder = jw.Cylinder(size, (0.0, 0.0, 0.0), tuple(map(float, axis)))
+        return cylinder, lambda at: Surface(at, plain, np.zeros(3), size / 2)
     a, b = 0.5 / (size * rng.uniform(0.6, 1.0)), 0.5 / (size * rng.uniform(0.6, 1.0))
     depth = 1 / (2 * max(a, b))
     surface = jw.Paraboloid(float(-depth), float(a), float(b))
-    return surface, np.diag([2 * a, 0.0, 2 * b]), np.array([0.0, -1.0, 0.0]), depth
+    return surface, lambda at: Surface(at, np.diag([2 * a, 0.0, 2 * b]), np.array([0.0, -1.0, 0.0]), depth)
+
+
+def _axis_drawn(rng):
+    """A direction near z, and the same as a unit vector."""
+    tilt, lift = rng.uniform(-0.9, 0.9), rng.uniform(-0.3, 0.3)
+    axis = np.array([np.sin(tilt), np.sin(lift), np.cos(tilt)])
+    return axis, axis / np.linalg.norm(axis)
 
 
 def unloaded(curvature):
@@ -65,16 +94,51 @@ def unloaded(curvature):
     return np.array([UPRIGHT @ (s * _left_jacobian(s * curvature)[:, 2]) for s in np.linspace(0.0, 1.0, 101)])
 
 
-def drawn(kind: str, rng: np.random.Generator) -> Drawn:
-    """A random scene of a kind."""
+def drawn(kind: str, rng: np.random.Generator, surfaces: tuple[str, ...] = SURFACES) -> Drawn:
+    """A random scene of a kind, with one of these surfaces."""
     *rod, base, drive = kind.split()
     while True:
-        found = _tried(" ".join(rod), base, drive, rng)
+        found = _tried(" ".join(rod), base, drive, rng, surfaces)
         if found is not None:
             return found
 
 
-def _tried(rod, base, drive, rng):
+def _ahead(rng, placed, direction, tip, size):
+    """Where to put an object that a linear drive passes with this overlap; None if nowhere."""
+    side = np.cross(direction, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    # The lowest point of the object in the plane of the scan, at a lateral offset.
+    along = np.linspace(-1, 1, 41) * 1.5 * size
+    offset = rng.uniform(-0.8, 0.8) * size
+    ground = np.array([direction[0], 0.0, direction[2]])
+    ground /= np.linalg.norm(ground)
+    heights = np.linspace(-3, 3, 1201)
+    grid = along[:, None, None] * ground + offset * side + heights[None, :, None] * np.array([0.0, 1.0, 0.0])
+    hit = placed(np.zeros(3)).off(grid) < 0
+    if not np.any(hit):
+        return None
+    lowest = np.min(np.broadcast_to(heights, hit.shape)[hit])
+    overlap = rng.uniform(0.05, 0.6)
+    inside = tip - offset * side + (0 - lowest - overlap) * np.array([0.0, 1.0, 0.0])
+    # No part of the object near the plane in which the base moves.
+    flat = np.linspace(-2, 2, 41)
+    plane = np.stack(np.meshgrid(flat, flat), -1).reshape(-1, 2)
+    plane = plane[:, :1] * ground + plane[:, 1:] * side
+    if np.min(placed(inside).off(plane[np.abs(plane @ side) < 0.4] + np.array([0, 0.1, 0]))) < 0:
+        return None
+    return inside
+
+
+def _before_wall(rng, wall, direction, tip):
+    """Where to put a wall that the tip of a whisker touches; None if the drive hardly approaches it."""
+    normal = np.array(wall.outward)
+    # A whisker that points straight at a wall buckles.
+    if not -0.95 < normal @ direction < -0.2 or abs(normal[1]) > 0.9:
+        return None
+    return tip + rng.uniform(0.0, 1.0) * direction
+
+
+def _tried(rod, base, drive, rng, surfaces):
     curved, cone = "curved" in rod, "cone" in rod
     whisker, curvature, roll, taper = {}, np.zeros(3), 0.0, 0.0
     ratio = float(rng.uniform(0.6, 0.8))
@@ -89,41 +153,22 @@ def _tried(rod, base, drive, rng):
     turned = UPRIGHT @ Rotation.from_rotvec([0, 0, roll]).as_matrix()
     points = unloaded(curvature)
     points = points @ (turned @ UPRIGHT.T).T
-    name = SURFACES[rng.integers(4)]
+    name = surfaces[rng.integers(len(surfaces))]
     size = float(np.exp(rng.uniform(np.log(0.2), np.log(1.5 if drive == "linear" else 0.8))))
-    surface, matrix, slope, depth = surface_drawn(rng, name, size)
+    surface, placed = surface_drawn(rng, name, size)
     tip = points[-1]
     inside = np.array([0.0, 0.0, 0.0])
-    if name == "paraboloid" and drive == "whisk":
+    if name in ("paraboloid", "plane") and drive == "whisk":
         return None
-
-    def placed(inside):
-        return Surface(inside, matrix, slope, depth)
 
     if drive == "linear":
         heading = rng.uniform(-np.pi, np.pi) if rng.random() < 0.7 else np.pi
         direction = np.array([np.cos(heading), rng.uniform(-0.2, 0.2), np.sin(heading)])
         direction /= np.linalg.norm(direction)
-        side = np.cross(direction, [0.0, 1.0, 0.0])
-        side /= np.linalg.norm(side)
-        # The lowest point of the object in the plane of the scan, at a lateral offset.
-        along = np.linspace(-1, 1, 41) * 1.5 * size
-        offset = rng.uniform(-0.8, 0.8) * size
-        ground = np.array([direction[0], 0.0, direction[2]])
-        ground /= np.linalg.norm(ground)
-        heights = np.linspace(-3, 3, 1201)
-        grid = along[:, None, None] * ground + offset * side + heights[None, :, None] * np.array([0.0, 1.0, 0.0])
-        hit = placed(inside).off(grid) < 0
-        if not np.any(hit):
-            return None
-        lowest = np.min(np.broadcast_to(heights, hit.shape)[hit])
-        overlap = rng.uniform(0.05, 0.6)
-        inside = tip - offset * side + (0 - lowest - overlap) * np.array([0.0, 1.0, 0.0])
-        # No part of the object near the plane in which the base moves.
-        flat = np.linspace(-2, 2, 41)
-        plane = np.stack(np.meshgrid(flat, flat), -1).reshape(-1, 2)
-        plane = plane[:, :1] * ground + plane[:, 1:] * side
-        if np.min(placed(inside).off(plane[np.abs(plane @ side) < 0.4] + np.array([0, 0.1, 0]))) < 0:
+        inside = (
+            _before_wall(rng, surface, direction, tip) if name == "plane" else _ahead(rng, placed, direction, tip, size)
+        )
+        if inside is None:
             return None
         motion = jw.LinearDrive(tuple(map(float, direction)))
         mount = jw.Mount(roll=roll) if curved else None
@@ -131,7 +176,7 @@ def _tried(rod, base, drive, rng):
         def placement(u):
             return u * direction, np.eye(3), turned
 
-        text = f"dir {direction.round(2)} offset {offset:.2f} overlap {overlap:.2f}"
+        text = f"dir {direction.round(2)} at {inside.round(2)}"
     else:
         elevation, rate = float(rng.uniform(-0.25, 0.25)), float(rng.uniform(-0.8, 0.8))
         motion = jw.WhiskDrive(elevation=elevation, roll=roll, roll_rate=rate)

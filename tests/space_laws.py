@@ -40,10 +40,49 @@ class Surface(NamedTuple):
         return gradient / np.linalg.norm(gradient), self.matrix / np.linalg.norm(gradient)
 
 
+class RoundedCore(NamedTuple):
+    """The sum of G(|u| - h) = size^2 / 2, u the coordinates along the rows of `axes`; negative inside.
+
+    G'' is 0 below -w, 1 above w, and between them the cubic with slopes 0 at its ends.
+    """
+
+    inside: np.ndarray
+    axes: np.ndarray
+    half: np.ndarray
+    width: np.ndarray
+    size: float
+
+    def _beyond(self, x):
+        """G with two derivatives by |u|, and the signs of u."""
+        u = (x - self.inside) @ self.axes.T
+        v = np.abs(u) - self.half
+        w = np.broadcast_to(self.width, v.shape)
+        g, rate, bend = np.where(v > 0, v**2 / 2 + w**2 / 10, 0.0), np.maximum(v, 0.0), (v >= 0).astype(float)
+        strip = np.abs(v) < w
+        t, w = v[strip] / w[strip], w[strip]
+        bend[strip] = 1 / 2 + 3 / 4 * t - t**3 / 4
+        rate[strip] = w * (3 / 16 + t / 2 + 3 / 8 * t**2 - t**4 / 16)
+        g[strip] = w**2 * (1 / 20 + 3 / 16 * t + t**2 / 4 + t**3 / 8 - t**5 / 80)
+        return g, rate, bend, np.sign(u)
+
+    def off(self, x):
+        """Distance to first order, of points (..., 3); deep inside, that from the nearest face of the core."""
+        g, rate, _, _ = self._beyond(x)
+        total, slope = np.sum(g, axis=-1), np.linalg.norm(rate, axis=-1)
+        deep = np.max(np.abs((x - self.inside) @ self.axes.T) - self.half, axis=-1) - self.size
+        shallow = total > self.size**2 / 8
+        return np.where(shallow, (total - self.size**2 / 2) / np.where(shallow, slope, 1.0), deep)
+
+    def normal_and_curvature(self, x):
+        _, rate, bend, sign = self._beyond(x)
+        size = np.linalg.norm(rate)
+        return (rate * sign / size) @ self.axes, self.axes.T @ np.diag(bend / size) @ self.axes
+
+
 class Plain(NamedTuple):
     """A scene with one whisker in plain numbers."""
 
-    surface: Surface
+    surface: Surface | RoundedCore
     placement: Callable  # control -> position of the mount without springs, rotation of the drive, of the mount's frame
     length: float = 1.0
     stiffness: Callable = lambda s: 1.0  # B(s)

@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from jaxwhisker._inverse.statistics import FitStatus
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
     from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
-    from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
+    from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
+    from jaxwhisker._model.rounded import Capsule, RoundedBox
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
     from jaxwhisker._model.space_scene import SpaceScene
     from jaxwhisker._scan.array import Array
@@ -73,6 +74,7 @@ __all__ = [
     "Bending",
     "BendingFit",
     "Box",
+    "Capsule",
     "Circle",
     "ClosedForm",
     "ContactsReconstruction",
@@ -106,6 +108,7 @@ __all__ = [
     "Paraboloid",
     "Phase",
     "Pipe",
+    "Plane",
     "PointForce",
     "PointMoment",
     "PointStatus",
@@ -118,6 +121,7 @@ __all__ = [
     "Revolved",
     "RotaryDrive",
     "Rotation",
+    "RoundedBox",
     "Scene",
     "Sensor",
     "Shapes",
@@ -201,7 +205,8 @@ _LATER = {
     "_inverse.statistics": ("FitStatus",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.loads": ("LineLoad", "PointForce", "PointMoment", "SpaceForce"),
-    "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Sphere"),
+    "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Plane", "Sphere"),
+    "_model.rounded": ("Capsule", "RoundedBox"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),
     "_scan.array": ("Array",),

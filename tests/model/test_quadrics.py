@@ -1,4 +1,4 @@
-"""Spheres, ellipsoids, cylinders and paraboloids: exact normals and curvatures, derivatives, errors."""
+"""Spheres, ellipsoids, cylinders, paraboloids and planes: exact normals and curvatures, derivatives, errors."""
 
 # pyright: reportArgumentType=false
 import jax
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
+from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
 from jaxwhisker._model.surface import as_point
 
 EXACT = 1e-13  # sums of a few numbers of size 1
@@ -18,6 +18,7 @@ SPHERE = Sphere(0.9, (0.1, 1.3, -0.2))
 ELLIPSOID = Ellipsoid((1.2, 0.7, 0.5), (0.1, 1.1, -0.2))
 CYLINDER = Cylinder(0.9, (0.0, 1.2, 0.1), (0.5, 0.1, 0.8))
 PARABOLOID = Paraboloid(0.2, 2.0, 0.5)
+PLANE = Plane((-0.5, 0.3, 0.1), (2.0, -1.0, 2.0))
 
 
 def principal_curvatures(surface, x):
@@ -78,11 +79,30 @@ def test_a_paraboloid_is_the_graph_of_its_equation():
     np.testing.assert_array_equal(Paraboloid(0.2, 3.0).curvature(vertex), Paraboloid(0.2, 3.0, 3.0).curvature(vertex))
 
 
+def test_a_plane_is_flat_and_has_one_normal():
+    normal = np.array([2.0, -1.0, 2.0]) / 3
+    for along in ([1.0, 2.0, 0.0], [0.0, 2.0, 1.0]):
+        x = jnp.asarray(np.array(PLANE.point) + np.array(along) + 0.3 * normal)
+        np.testing.assert_allclose(PLANE.off(x), 0.3, atol=EXACT)
+        np.testing.assert_allclose(PLANE.normal(x), normal, atol=EXACT)
+        np.testing.assert_array_equal(PLANE.curvature(x), 0.0)
+        distance, out = PLANE.plane_before(x)
+        np.testing.assert_allclose([distance, *out], [0.3, *normal], atol=EXACT)
+    assert PLANE.off(jnp.asarray(np.array(PLANE.point) - 0.2 * normal)) < 0 and np.isinf(PLANE.thickness())
+
+
+def test_a_plane_turns_about_its_point():
+    turned = PLANE.rotated((0.0, 0.5, 0.0)).in_unit(2.0)
+    np.testing.assert_allclose(turned.off(jnp.asarray(PLANE.point) / 2), 0.0, atol=EXACT)
+    np.testing.assert_allclose(turned.normal(jnp.zeros(3)) @ PLANE.normal(jnp.zeros(3)), (8 * np.cos(0.5) + 1) / 9)
+
+
 MAKERS = {
     "sphere": (lambda p: Sphere(p[0], tuple(p[1:4])), [0.9, 0.1, 1.3, -0.2]),
     "ellipsoid": (lambda p: Ellipsoid(tuple(p[:3]), tuple(p[3:])), [1.2, 0.7, 0.5, 0.1, 1.1, -0.2]),
     "cylinder": (lambda p: Cylinder(p[0], tuple(p[1:4]), tuple(p[4:])), [0.9, 0.0, 1.2, 0.1, 0.5, 0.1, 0.8]),
     "paraboloid": (lambda p: Paraboloid(p[0], p[1], p[2]), [0.2, 2.0, 0.5]),
+    "plane": (lambda p: Plane(tuple(p[:3]), tuple(p[3:])), [-0.5, 0.3, 0.1, 2.0, -1.0, 2.0]),
 }
 
 
@@ -110,6 +130,8 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
     assert cylinder(1.0, -0.1) and not cylinder(1.0, 0.0) and not cylinder(-1.0, 1.0)
     paraboloid = jax.jit(lambda a, b: Paraboloid(-0.2, a, b).valid())
     assert paraboloid(1.0, 2.0) and not paraboloid(-1.0, 2.0) and not paraboloid(1.0, -2.0)
+    plane = jax.jit(lambda x, z: Plane((x, 1.0, 0.0), (0.0, 0.0, z)).valid())
+    assert plane(1.0, -0.1) and not plane(1.0, 0.0) and not plane(np.nan, 1.0)
 
 
 @pytest.mark.unchecked
@@ -133,6 +155,9 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
         ),
         (lambda: Paraboloid(np.nan), "`distance` must be a finite number, got nan."),
         (lambda: Paraboloid(0.2, 0.0), "`a` must be a positive finite number, got 0.0."),
+        (lambda: Plane((0.0, np.inf, 0.0), (1, 0, 0)), "`point[1]` must be a finite number, got inf."),
+        (lambda: Plane((0, 0, 0), 1.0), "`outward` must be a tuple of three numbers, got 1.0."),
+        (lambda: Plane((0, 0, 0), (0, 0.0, 0)), "`outward` must be a vector other than zero, got (0, 0.0, 0)."),
         (lambda: Paraboloid(0.2, 1.0, -2.0), "`b` must be a positive finite number, got -2.0."),
     ],
 )
@@ -147,6 +172,7 @@ def test_text():
     assert str(ELLIPSOID) == "ellipsoid a = 1.2, b = 0.7, c = 0.5, centre (0.1, 1.1, -0.2)"
     assert str(CYLINDER) == "cylinder r = 0.9, through (0, 1.2, 0.1) along (0.5, 0.1, 0.8)"
     assert str(Paraboloid(0.2)) == "paraboloid q = 0.2"
+    assert str(PLANE) == "plane through (-0.5, 0.3, 0.1), facing (2, -1, 2)"
     assert str(PARABOLOID) == "paraboloid q = 0.2, a = 2, b = 0.5"
     seen = []
     jax.jit(lambda r: seen.append(str(Sphere(r, (0.0, 1.0, r)))) or r)(1.0)

@@ -356,12 +356,12 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             lambda: Extruded(as_one((jw.Parabola(0.2), jw.Circle(0.2, 0.1, 3.0)))),
             "`profile` must be a single object, got",
         ),
-        (lambda: Revolved(jw.Box(0.2, 0.3, 0.4)), "Boxes and pegs with an end are not available in space."),
+        (lambda: Revolved(jw.Box(0.2, 0.3, 0.4)), "In space, use a RoundedBox, or a Capsule for a peg with an end."),
         (
             lambda: Extruded(jw.Tilted(jw.Box(0.2, 0.3, 0.4), 0.1)),
-            "Boxes and pegs with an end are not available in space.",
+            "In space, use a RoundedBox, or a Capsule for a peg with an end.",
         ),
-        (lambda: Extruded(jw.Cut(jw.Parabola(0.2), -0.3, 0.3)), "Boxes and pegs with an end are not available"),
+        (lambda: Extruded(jw.Cut(jw.Parabola(0.2), -0.3, 0.3)), "In space, use a RoundedBox"),
         (
             lambda: Revolved(jw.Tilted(jw.Parabola(0.2), 0.3)),
             "`profile` must be symmetric about the vertical axis through its lowest point, got parabola q = 0.2, "

@@ -119,6 +119,9 @@ CONSTRUCTORS = {
     "Sphere": (lambda r, y: jw.Sphere(r, (0.0, y, 0.1)), {"r": 0.5, "y": 0.9}),
     "Ellipsoid": (lambda a, y: jw.Ellipsoid((a, 0.3, 0.2), (0.0, y, 0.1)), {"a": 0.5, "y": 0.9}),
     "Cylinder": (lambda r, z: jw.Cylinder(r, (0.0, 0.9, 0.0), (z, 0.0, 1.0)), {"r": 0.5, "z": 0.1}),
+    "Capsule": (lambda r, z: jw.Capsule(r, (0.0, 0.9, 0.0), (z, 0.9, 1.0)), {"r": 0.5, "z": 0.1}),
+    "RoundedBox": (lambda r, x: jw.RoundedBox((x, 0.5, 0.4), r, (0.0, 0.9, 0.1)), {"r": 0.1, "x": 0.6}),
+    "Plane": (lambda x, y: jw.Plane((x, 0.0, 0.0), (1.0, y, 0.0)), {"x": -0.5, "y": -0.3}),
     "Paraboloid": (lambda a, b: jw.Paraboloid(0.3, a, b), {"a": 0.5, "b": 0.7}),
     "Extruded": (lambda q: jw.Extruded(jw.Parabola(q)), {"q": 0.3}),
     "Revolved": (lambda q: jw.Revolved(jw.Parabola(q)), {"q": 0.3}),
@@ -128,7 +131,10 @@ CONSTRUCTORS = {
     "mount": (lambda x, angle: jw.Support(mount=jw.Mount(x, angle=angle)), {"x": 0.1, "angle": 0.1}),
     "LinearDrive": (lambda x, z: jw.LinearDrive((x, 0.0, 0.1), (0.0, 0.0, z)), {"x": -1.0, "z": 0.1}),
 }
-IN_SPACE = ("Sphere", "Ellipsoid", "Cylinder", "Paraboloid", "Extruded", "Revolved", "rotated", "LinearDrive")
+IN_SPACE = (
+    *("Sphere", "Ellipsoid", "Cylinder", "Capsule", "RoundedBox", "Plane", "Paraboloid", "Extruded", "Revolved"),
+    *("rotated", "LinearDrive"),
+)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,8 @@ from jaxwhisker._model.pipe import Pipe
 from jaxwhisker._model.polygon import Box, Polygon
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.profiles import Graph, Tilted
-from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
+from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
+from jaxwhisker._model.rounded import Capsule, RoundedBox
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._model.solids import Extruded, Revolved, Surface
 from jaxwhisker._model.space_scene import SpaceScene
@@ -50,7 +51,19 @@ FAMILIES: dict[Any, tuple[type, ...]] = {
     Callable: (Table, Polynomial, ParabolicShape, LinearTaper, RoundSection, RoundMass, PowerTaper),
     Whisker: (Whisker,),
     AbstractProfile: (Parabola, Circle, Ellipse, Graph, Contour, Polygon, Box, Cut, Tilted, Pipe),
-    AbstractSurface: (Sphere, Ellipsoid, Cylinder, Paraboloid, Extruded, Revolved, Surface, Placed),
+    AbstractSurface: (
+        Sphere,
+        Ellipsoid,
+        Cylinder,
+        Capsule,
+        RoundedBox,
+        Plane,
+        Paraboloid,
+        Extruded,
+        Revolved,
+        Surface,
+        Placed,
+    ),
     Support: (Support,),
     Spring: (Spring,),
     Mount: (Mount,),

@@ -1,4 +1,4 @@
-"""Spheres, ellipsoids, cylinders and paraboloids."""
+"""Spheres, ellipsoids, cylinders, paraboloids and planes."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,6 +8,9 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, text_unless
 from jaxwhisker._base.types import Scalar, Triple
 from jaxwhisker._model.surface import AbstractDescribed, Quadric, as_point, triple_text
+
+# How deep the point of a plane is below it, a length: a plane has no length of its own that could say how deep.
+BELOW = 1e-30
 
 
 class Sphere(AbstractDescribed):
@@ -164,3 +167,43 @@ class Paraboloid(AbstractDescribed):
     def __str__(self):
         b = "" if self.b is None else f", b = {as_text(self.b)}"
         return f"paraboloid q = {as_text(self.distance)}{text_unless(1.0, ', a = ', self.a)}{b}"
+
+
+class Plane(AbstractDescribed):
+    """Plane, such as a wall: the object is all that lies behind it.
+
+    Args:
+        point: (x, y, z) of a point of the plane, lengths.
+        outward: direction of its normal out of the object, towards the whiskers; any vector other than zero.
+
+    Raises:
+        ValueError: if a value is not a finite number, or the direction is zero.
+
+    Examples:
+        >>> wall = jw.Plane(point=(-0.5, 0.0, 0.0), outward=(1.0, -1.0, 0.0))
+        >>> print(wall)
+        plane through (-0.5, 0, 0), facing (1, -1, 0)
+        >>> print(wall.off(jnp.zeros(3)).round(6))
+        0.353553
+    """
+
+    point: Triple = eqx.field(converter=checks.as_tuple)
+    outward: Triple = eqx.field(converter=checks.as_tuple)
+
+    def __check_init__(self):
+        checks.triple("point", self.point)
+        checks.triple("outward", self.outward)
+        if not checks.is_traced(self.outward) and not any(float(part) for part in self.outward):
+            checks.fail("outward", "a vector other than zero", self.outward)
+
+    def form(self):
+        outward = as_point(self.outward)
+        return Quadric(
+            as_point(self.point), jnp.zeros((3, 3)), outward / jnp.sqrt(jnp.sum(outward**2)), jnp.asarray(BELOW)
+        )
+
+    def _positive(self):
+        return [jnp.sum(as_point(self.outward) ** 2)]
+
+    def __str__(self):
+        return f"plane through {triple_text(self.point)}, facing {triple_text(self.outward)}"

@@ -281,7 +281,7 @@ def _check_without_edges(profile: AbstractProfile) -> None:
     if profile.has_edges:
         raise ValueError(
             f"`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, got "
-            f"{profile}. Boxes and pegs with an end are not available in space."
+            f"{profile}. In space, use a RoundedBox, or a Capsule for a peg with an end."
         )
 
 

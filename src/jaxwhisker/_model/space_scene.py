@@ -32,7 +32,8 @@ class SpaceScene(AbstractScene):
 
     Args:
         whisker: one Whisker for all bases, or a tuple with one per base.
-        surface: the object: a Sphere, Ellipsoid, Cylinder, Paraboloid, Extruded, Revolved or Surface.
+        surface: the object: a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved
+            or Surface.
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
@@ -59,7 +60,7 @@ class SpaceScene(AbstractScene):
         self.support = in_row(self.whisker, self.support)
 
     def __check_init__(self):
-        allowed = "a Sphere, Ellipsoid, Cylinder, Paraboloid, Extruded, Revolved or Surface"
+        allowed = "a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved or Surface"
         checks.instance("surface", self.surface, AbstractSurface, allowed)
         kinds = "a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or a motion in the plane"
         checks.instance("motion", self.motion, (SpaceMotion, AbstractMotion), kinds)
