@@ -72,6 +72,34 @@ def test_a_cylinder_is_cut_off_near_the_whiskers():
     assert (body.points[body.outline(FORWARD)][..., 2] > 0).mean() > 0.5
 
 
+def around_core(edges, radius):
+    """Volume of all points at most one radius from a box (Steiner)."""
+    a, b, c = edges
+    faces = 2 * (a * b + b * c + c * a)
+    return a * b * c + faces * radius + np.pi * (a + b + c) * radius**2 + 4 / 3 * np.pi * radius**3
+
+
+@pytest.mark.parametrize(
+    ("surface", "edges", "radius"),
+    [
+        (jw.Capsule(0.2, (0.1, 1.0, -0.5), (0.1, 1.0, 0.5)), (0.0, 0.0, 1.0), 0.2),
+        (jw.RoundedBox((0.8, 0.5, 0.6), 0.1, (0.0, 1.0, 0.1)), (0.6, 0.3, 0.4), 0.1),
+    ],
+)
+def test_capsules_and_boxes_are_whole(surface, edges, radius):
+    body = near_whiskers(surface)
+    assert volume(body) == pytest.approx(around_core(edges, radius), rel=4 * FLAT)
+    assert not body.cut.any()
+
+
+def test_a_plane_bounds_what_is_behind_it():
+    wall = jw.Plane((-0.5, 0.0, 0.0), (1.0, -0.5, 0.0))
+    body = near_whiskers(wall)
+    off = (body.points - [-0.5, 0.0, 0.0]) @ [1.0, -0.5, 0.0] / np.hypot(1.0, 0.5)
+    assert off.max() < ON_SURFACE and np.sum(off > -ON_SURFACE) > 50
+    assert body.points[:, 0].min() == pytest.approx(LOW[0] - NEAR) and body.cut.any() and not body.cut.all()
+
+
 def test_an_open_profile_is_a_block_with_sharp_corners():
     body = near_whiskers(jw.Extruded(jw.Parabola(0.2)))
     top = 1.0 + NEAR
