@@ -169,7 +169,8 @@ class Step:
         return np.asarray(getattr(self.result, name))[self.step]
 
 
-@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in KINDS for n in EVERYDAY if (n, k) != ("plane", KINDS[2])])
+@pytest.mark.filterwarnings("ignore:The scan touches nothing")
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in KINDS for n in EVERYDAY if n != "plane" or k == KINDS[0]])
 def test_random_scenes_run_to_their_end_and_obey_the_laws(kind, name):
     ends = []
     for number in range(SCENES):
