@@ -1,4 +1,4 @@
-"""Surfaces fitted to points in space: spheres and ellipsoids from scans, errors, bands, and wrong input."""
+"""Surfaces fitted to points in space: from scans, errors, bands, and wrong input."""
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
@@ -207,14 +207,113 @@ def test_rotation_vectors():
         np.testing.assert_allclose(_rotation_vector(turned(np.array(vector))), vector, atol=ROUNDING)
 
 
+RADIUS, AXIS, ON_AXIS = 0.4, np.array([0.3, 0.1, 0.9]) / np.sqrt(0.91), np.array([0.05, 1.1, -0.1])
+OUTWARD, ON_PLANE = np.array([0.6, -0.8, 0.0]), np.array([0.3, 0.5, 0.2])
+
+
+def along_axis(family, count, rng):
+    """Points of the lower part of a cylinder, or of a plane, and their normals."""
+    if family is jw.Plane:
+        first, second = np.cross(OUTWARD, [0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
+        places = ON_PLANE + rng.uniform(-0.5, 0.5, (count, 1)) * first + rng.uniform(-0.3, 0.3, (count, 1)) * second
+        return places, np.broadcast_to(OUTWARD, (count, 3))
+    first = np.cross(AXIS, [0.0, 1.0, 0.0])
+    first /= np.linalg.norm(first)
+    angle = rng.uniform(-0.4, np.pi - 0.4, (count, 1))
+    normals = np.cos(angle) * first + np.sin(angle) * np.cross(AXIS, first)
+    return ON_AXIS + RADIUS * normals + rng.uniform(-0.5, 0.5, (count, 1)) * AXIS, normals
+
+
+def expected(family, middle):
+    """The estimates of the cylinder or the plane for points with this middle."""
+    if family is jw.Plane:
+        return np.r_[middle + ((ON_PLANE - middle) @ OUTWARD) * OUTWARD, OUTWARD]
+    return np.r_[RADIUS, ON_AXIS + ((middle - ON_AXIS) @ AXIS) * AXIS, AXIS]
+
+
+def aligned(fit, family):
+    """Estimates of a fit, with the axis in the direction of the true one, and their errors."""
+    found = np.array(list(fit.estimates.values()))
+    if family is jw.Cylinder and found[4:] @ AXIS < 0:
+        found[4:] *= -1
+    return found, np.array(list(fit.standard_error.values()))
+
+
+@pytest.mark.parametrize("normals", [True, False])
+@pytest.mark.parametrize("family", [jw.Cylinder, jw.Plane])
+def test_exact_points_give_a_cylinder_or_a_plane_in_any_unit(family, normals):
+    position, directions = along_axis(family, 30, np.random.default_rng(9))
+    for unit, shift in ((1.0, np.zeros(3)), (1e-3, np.array([0.1, 0.2, -0.3]))):
+        points = points_of(unit * position + shift, 7.0 * directions)
+        fit = fit_surface(points, family, normals)
+        exact = expected(family, position.mean(axis=0))
+        exact[-6:-3] = unit * exact[-6:-3] + shift
+        exact[:-6] *= unit
+        assert fit.status == jw.FitStatus.ok and tuple(fit.estimates) == FAMILIES[family]
+        np.testing.assert_allclose(aligned(fit, family)[0], exact, atol=EXACT**2)
+        assert fit.degrees_of_freedom == 30 * (3 if normals else 1) - (5 if family is jw.Cylinder else 3)
+        on = [float(fit.surface.off(jnp.asarray(x))) for x in np.asarray(points.point)[:, 0]]
+        np.testing.assert_allclose(on, 0.0, atol=EXACT**2)
+
+
+@pytest.mark.parametrize("normals", [True, False])
+@pytest.mark.parametrize("family", [jw.Cylinder, jw.Plane])
+def test_cylinders_and_planes_are_within_their_errors(family, normals):
+    rng = np.random.default_rng(0)
+    position, directions = along_axis(family, 40, rng)
+    force = rng.uniform(0.5, 3.0, (40, 1)) * directions
+    root = NOISE * rng.standard_normal((40, 6, 6))
+    inside, chi2, banded = np.zeros(len(FAMILIES[family])), [], 0
+    for _ in range(TRIALS):
+        noise = np.einsum("pij,pj->pi", root, rng.standard_normal((40, 6)))
+        points = points_of(position + noise[:, :3], force + noise[:, 3:], root @ root.transpose(0, 2, 1))
+        fit = fit_surface(points, family, normals)
+        assert fit.status == jw.FitStatus.ok
+        exact = expected(family, np.mean(position + noise[:, :3], axis=0))
+        found, errors = aligned(fit, family)
+        inside += np.abs(found - exact) <= DEVIATIONS * errors + ROUNDING  # parts along the normal may be fixed
+        chi2.append(fit.chi2)
+        at, error = fit.band(directions[:1])
+        missed = (at[0] - ON_PLANE) @ OUTWARD
+        if family is jw.Cylinder:
+            across = (at[0] - ON_AXIS) - ((at[0] - ON_AXIS) @ AXIS) * AXIS
+            missed = np.linalg.norm(across) - RADIUS
+        banded += abs(missed) < DEVIATIONS * error[0]
+    least, most = binom.ppf([CHANCE / 2, 1 - CHANCE / 2], TRIALS, INSIDE)
+    assert np.all((inside >= least) & (inside <= most)), (inside, least, most)
+    assert least <= banded <= most
+    degrees = fit.degrees_of_freedom
+    assert np.mean(chi2) == pytest.approx(degrees, abs=SCATTER * np.sqrt(2 * degrees / TRIALS))
+
+
+def test_scans_give_a_cylinder_back():
+    surface = jw.Cylinder(RADIUS, tuple(ON_AXIS), tuple(AXIS))
+    scans = [jw.scan(along_x(offset, surface), CONTROL) for offset in (-0.4, -0.1, 0.3)]
+    fit = jw.fit_contour([jw.reconstruct(scan, scan.scene) for scan in scans], family=jw.Cylinder)
+    found, _ = aligned(fit, jw.Cylinder)
+    assert fit.status == jw.FitStatus.ok and found[0] == pytest.approx(RADIUS, abs=EXACT)
+    np.testing.assert_allclose(found[4:], AXIS, atol=EXACT)
+    np.testing.assert_allclose(np.cross(found[1:4] - ON_AXIS, AXIS), 0.0, atol=EXACT)
+    assert "cylinder r = 0.4" in str(fit)
+
+
+def test_points_of_a_line_do_not_determine_a_cylinder():
+    rng = np.random.default_rng(10)
+    position = ON_AXIS + rng.uniform(-1.0, 1.0, (20, 1)) * AXIS
+    fit = fit_surface(points_of(position, np.broadcast_to(OUTWARD, (20, 3))), jw.Cylinder, True)
+    assert fit.status != jw.FitStatus.ok and np.isnan(fit.standard_error["radius"])
+
+
 @pytest.mark.unchecked
 def test_wrong_arguments():
     position, normals = contacts(jw.Sphere, 5, np.random.default_rng(7))
     points = points_of(position, normals)
-    with pytest.raises(ValueError, match="`family` must be Sphere or Ellipsoid, got None"):
+    with pytest.raises(ValueError, match="`family` must be Sphere, Ellipsoid, Cylinder or Plane, got None"):
         jw.fit_contour(points)
-    with pytest.raises(ValueError, match="`family` must be Sphere or Ellipsoid"):
-        jw.fit_contour(points, family=jw.Cylinder)
+    with pytest.raises(ValueError, match="`family` must be Sphere, Ellipsoid"):
+        jw.fit_contour(points, family=jw.Capsule)
+    with pytest.raises(ValueError, match="`measured` must hold enough points for 5 parameters, got 4"):
+        jw.fit_contour(points_of(position[:4], normals[:4]), family=jw.Cylinder, normals=False)
     with pytest.raises(ValueError, match="`sensor` must be left out in space"):
         jw.fit_contour(points, jw.Sensor(jw.Whisker()), family=jw.Sphere)
     with pytest.raises(ValueError, match="`unknown` must be left out in space"):

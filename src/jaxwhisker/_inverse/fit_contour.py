@@ -148,8 +148,9 @@ def fit_contour(
 ) -> "ContourFit | SurfaceFit":
     """Fit a convex contour to all signals of a scan, together with unknown parameters of the sensor.
 
-    In space, fit a sphere or an ellipsoid to the points of one or several scans. The residuals of a point are its
-    distance from the surface and, with `normals`, the difference between the direction of its force and the normal.
+    In space, fit a sphere, an ellipsoid, a cylinder or a plane to the points of one or several scans. The residuals of
+    a point are its distance from the surface and, with `normals`, the difference between the direction of its force and
+    the normal.
 
     Args:
         measured: signals of one scan, as in `identify`. In space: the result of `reconstruct`, or a list of results of
@@ -163,7 +164,7 @@ def fit_contour(
         knots: number of knots, the slope angles at which a radius of curvature is fitted, or the angles themselves,
             rad. More knots follow finer shapes, but also more of the noise. Fits with equally many share compiled code.
         guess: a profile to start from. Default: one fitted to the reconstructed points.
-        family: in space: Sphere or Ellipsoid.
+        family: in space: Sphere, Ellipsoid, Cylinder or Plane.
         normals: in space: whether forces are normal to the object. With friction, they are not.
 
     Returns:

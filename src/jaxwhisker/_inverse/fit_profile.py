@@ -231,7 +231,7 @@ class _ProfileFamily(AbstractShapeFamily):
     def estimates(self, values):
         with np.errstate(over="ignore"):
             estimates = np.where(self._logs, np.exp(np.where(self._logs, values, 0.0)), values)
-        return estimates, np.where(self._logs, estimates, 1.0)
+        return estimates, np.diag(np.where(self._logs, estimates, 1.0))
 
     def profile(self, estimates: Mapping[str, float]) -> AbstractProfile:
         """The profile with these parameters."""

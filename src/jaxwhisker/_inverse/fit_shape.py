@@ -92,7 +92,7 @@ class AbstractShapeFamily(eqx.Module):
 
     @abstractmethod
     def estimates(self, values: Float[np.ndarray, " p"]) -> tuple[np.ndarray, np.ndarray]:
-        """Estimates in the units of the user, and their derivatives with respect to the values."""
+        """Estimates in the units of the user, and their derivatives by the values, (estimates, p)."""
 
 
 class AbstractShapeFit(eqx.Module):
@@ -164,7 +164,7 @@ def fit_shape(
     elif np.isfinite(chi2) and not is_plausible(chi2, degrees):
         status, covariance = FitStatus.implausible, np.full_like(covariance, np.nan)
     estimates, rates = family.estimates(values)
-    covariance = covariance * np.outer(rates, rates)
+    covariance = _carried_over(covariance, rates)
     fields = {
         "estimates": dict(zip(family.names, estimates.tolist(), strict=True)),
         "standard_error": dict(zip(family.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
@@ -174,6 +174,13 @@ def fit_shape(
         "status": status,
     }
     return fields, np.asarray(at.compared[1])
+
+
+def _carried_over(covariance: Float[np.ndarray, "p p"], rates: Float[np.ndarray, "n p"]) -> Float[np.ndarray, "n n"]:
+    """The covariance of what depends on values at these rates; NaN only where it depends on unknown ones."""
+    depends, unknown = (rates != 0).astype(int), (~np.isfinite(covariance)).astype(int)
+    known = rates @ np.where(unknown, 0.0, covariance) @ rates.T
+    return np.where(depends @ unknown @ depends.T, np.nan, known)
 
 
 def supported_points(
