@@ -11,6 +11,7 @@ from jaxwhisker._inverse.fit_shape import (
     AbstractShapeFit,
     Facet,
     ShapePoints,
+    _carried_over,
     _inverse_root,
     fit_shape,
     nearest_quadric,
@@ -40,7 +41,7 @@ class Rings(AbstractShapeFamily):
         return estimates[0], estimates[0] * direction
 
     def estimates(self, values):
-        return np.exp(values), np.exp(values)
+        return np.exp(values), np.diag(np.exp(values))
 
 
 class RingFit(AbstractShapeFit):
@@ -163,3 +164,11 @@ def test_linear_least_squares_give_exact_quadrics_back():
         matrix, linear, constant = nearest_quadric(x, known, [[[1, 0], [0, -1]], [[0, 1], [1, 0]]])
         np.testing.assert_allclose(matrix, np.diag([1.5, 0.5]), atol=ROUNDING)
         np.testing.assert_allclose([*linear, constant], [0.0, 0.0, -1.0], atol=ROUNDING)
+
+
+def test_errors_are_carried_over_and_unknown_ones_only_to_what_depends_on_them():
+    covariance = np.array([[4.0, 1.0, np.nan], [1.0, 9.0, np.nan], [np.nan, np.nan, np.nan]])
+    rates = np.array([[2.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 3.0]])
+    found = _carried_over(covariance, rates)
+    np.testing.assert_allclose(found[:2, :2], [[16.0, 6.0], [6.0, 11.0]])
+    assert np.isnan(found[2]).all() and np.isnan(found[:, 2]).all()
