@@ -68,7 +68,7 @@ def test_residuals_before_a_short_step_must_be_small_too_if_asked(both, steps):
         return stiff * jnp.max(jnp.abs(point.z)), SimpleNamespace(step=step)
 
     guess = Point(jnp.full((1, 3), near), jnp.zeros(()))
-    solver = StructuredNewton(0.0, 1e-6, both=both)
+    solver = StructuredNewton(0.0, 1e-6, with_residuals=both)
     state, count = solver.init(equations, guess, None, {}, None, None, frozenset()), 0
     while not bool(solver.terminate(equations, guess, None, {}, state, frozenset())[0]):
         guess, state, _ = solver.step(equations, guess, None, {}, state, frozenset())

@@ -185,18 +185,18 @@ def test_stretches_end_where_the_curvature_begins_to_change():
     x = jnp.asarray((START + END) / 2 + RADIUS * ACROSS)
     half = np.linalg.norm(END - START) / 2
     way = jnp.asarray(AXIS + ACROSS)
-    np.testing.assert_allclose(body.stretch(x, way), half - width, rtol=EXACT)
+    np.testing.assert_allclose(body.steps_to_joint(x, way), half - width, rtol=EXACT)
     beside = x + 0.1 * half * AXIS
-    np.testing.assert_allclose(body.stretch(beside, way), 0.9 * half - width, rtol=1e-12)
-    np.testing.assert_allclose(body.stretch(beside, -way), 1.1 * half - width, rtol=1e-12)
-    np.testing.assert_allclose(body.stretch(x, 2 * way), (half - width) / 2, rtol=EXACT)
-    assert body.stretch(x, jnp.asarray(ACROSS)) > 1e9  # along the strips
+    np.testing.assert_allclose(body.steps_to_joint(beside, way), 0.9 * half - width, rtol=1e-12)
+    np.testing.assert_allclose(body.steps_to_joint(beside, -way), 1.1 * half - width, rtol=1e-12)
+    np.testing.assert_allclose(body.steps_to_joint(x, 2 * way), (half - width) / 2, rtol=EXACT)
+    assert body.steps_to_joint(x, jnp.asarray(ACROSS)) > 1e9  # along the strips
     on_joint = jnp.asarray(END + RADIUS * ACROSS)
-    np.testing.assert_allclose(body.stretch(on_joint, way), width, rtol=1e-9)
+    np.testing.assert_allclose(body.steps_to_joint(on_joint, way), width, rtol=1e-9)
     on_cap = jnp.asarray(END + 3 * width * AXIS)
-    assert np.isinf(body.stretch(on_cap, jnp.asarray(AXIS)))
-    np.testing.assert_allclose(body.stretch(on_cap, -jnp.asarray(AXIS)), 2 * width, rtol=1e-9)
-    assert np.isinf(Sphere(1.0, (0.0, 0.0, 0.0)).stretch(x, way))
+    assert np.isinf(body.steps_to_joint(on_cap, jnp.asarray(AXIS)))
+    np.testing.assert_allclose(body.steps_to_joint(on_cap, -jnp.asarray(AXIS)), 2 * width, rtol=1e-9)
+    assert np.isinf(Sphere(1.0, (0.0, 0.0, 0.0)).steps_to_joint(x, way))
 
 
 MAKERS = {

@@ -60,7 +60,7 @@ class Case(AbstractLoadCase):
     error: Any = 0.0
     uniform: bool = eqx.field(static=True, default=True)
 
-    def rods(self):
+    def equations(self):
         return FoldingRod(self.load, self.spring, jnp.asarray(self.error), self.uniform)
 
     def valid(self, rods):
@@ -80,14 +80,14 @@ def case(load, spring=None, error=0.0):
 
 @pytest.mark.parametrize("spring", [None, 0.7])
 def test_the_branch_begins_at_rest_and_ends_under_the_full_load(spring):
-    end = jax.jit(lambda: branch_of(case(0.2, spring).rods()))()
+    end = jax.jit(lambda: branch_of(case(0.2, spring).equations()))()
     np.testing.assert_allclose(end.unknowns, [exact(0.2, spring or 0.0)], atol=SOLVED)
     np.testing.assert_array_equal(end.shares, np.ones(1 if spring is None else 2))
     assert not end.lost
 
 
 def test_the_branch_ends_where_stability_is_lost():
-    end = jax.jit(lambda: branch_of(case(1.0, spring=0.7).rods()))()
+    end = jax.jit(lambda: branch_of(case(1.0, spring=0.7).equations()))()
     assert end.lost and end.shares[0] == 1.0
     np.testing.assert_allclose(end.shares[1], FOLD, atol=1e-4)  # the last step before the fold
     # A spring that the branch does not survive: the loads do not begin to grow.
@@ -111,7 +111,7 @@ class Breaking(FoldingRod):
 
 
 def test_errors_are_residuals_and_what_finer_steps_change():
-    rods = case(0.2, error=3e-4).rods()
+    rods = case(0.2, error=3e-4).equations()
     found = checks_of(rods, jnp.array([0.5]), jnp.ones(1))
     np.testing.assert_allclose(found.residual, 0.25 - 0.2, rtol=1e-12)
     np.testing.assert_allclose(found.by_steps, 0.25 - 0.2, rtol=1e-12)

@@ -71,7 +71,7 @@ def test_the_face_of_a_box_is_a_plane():
 
 def test_a_wall_normal_to_the_plane_of_the_scan_is_a_plane_scan_of_a_huge_circle():
     """The same laws without the package's space: a circle of radius R differs from its tangent by y^2 / 2R."""
-    radius, tilt = 1e4, 0.3  # a ceiling that falls towards -x
+    radius, tilt = 1e6, 0.3  # a ceiling that falls towards -x
     ceiling = jw.Plane((0.0, 0.9, 0.0), (np.sin(tilt), -np.cos(tilt), 0.0))
     circle = jw.Tilted(jw.Circle(0.9, radius), tilt, about=(0.0, 0.9))
     control = np.linspace(0.0, -1.5, 31)

@@ -20,7 +20,7 @@ EXACT = 1e-9  # likewise
 def test_the_unloaded_whisker_solves_the_equations(free_beyond):
     whisker = jw.Whisker(2.0, 3.0, 0.4)
     rods = loaded.loaded_in_space(whisker, (SpaceForce(0.1, 0.2, 0.3, 1.5 if free_beyond else None),))
-    assert rods.free_beyond == free_beyond
+    assert rods.walks_beyond == free_beyond
 
     def missed(top):
         return rods.at_base(top, jnp.zeros(1)).missed
@@ -44,7 +44,7 @@ def test_the_second_variation_is_that_of_the_energy():
     stiffness, own = 1.3 * np.array([1.0, 1.0, 0.6]), np.array([0.4, -0.7, 0.9])
     rods = loaded.loaded_in_space(jw.Whisker(), (SpaceForce(0.8, -0.5, 1.1),))
     section = SpaceSection(1.3, 0.6, (0.4, -0.7, 0.9))
-    rods = loaded.LoadedInSpace(rods.force, rods.position, section, rods.straight, rods.free_beyond)
+    rods = loaded.LoadedInSpace(rods.force, rods.position, section, rods.straight, rods.walks_beyond)
     nodes, weights = gauss(20)
     found = loaded.walked(jnp.array([0.3, -0.2, 0.5]), rods, 1.0, nodes, 4)
     form = loaded.variation(rods, found, jnp.asarray(weights))

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 
-TERMS = 7  # of power series: exact to rounding for angles below 0.5 rad, with two derivatives
+TERMS = 8  # of power series: exact to rounding for angles below 0.5 rad, with two derivatives
 NEAR = 0.25  # square of the angle (rad) below which they are used
 ARC_TERMS, ARC_NEAR = 10, 0.01  # the same for the arc tangent, and the square of its argument
 

@@ -53,10 +53,9 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import first_dip
 from jaxwhisker._path.path import NO_EVENT, Node, Status, select
-from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP, SHORTER
+from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP, LOSS_BRACKET, SHORTER
 
 LONGEST_STEP = 0.1  # lengths
-LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 BEHIND = 1e-6  # distance by which an event may lie behind the step in which it is noticed
 NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`

@@ -120,7 +120,8 @@ def least_gap(
 
     A gap below `enough` ends the search.
 
-    The shaft touches the object at this parameter, or is closest to it there. If `here` is false, it does not touch it.
+    The shaft touches the object at this parameter, or is closest to it there. If `here` is false, it does not
+    touch it, and this is the parameter of the lowest point.
     """
     profile, cells, parameter, here = jax.lax.stop_gradient((profile, cells, parameter, here))
     points = _points(cells)

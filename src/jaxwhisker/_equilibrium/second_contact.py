@@ -23,7 +23,8 @@ def meets(
 ) -> Bool[Array, ""]:
     """Whether a shaft dips into an object by more than `DEPTH`, without derivatives; false unless it `touches` any.
 
-    The shaft touches this object at this parameter; if `here` is false, it touches another one.
+    The shaft touches this object at this parameter; if `here` is false, it touches another one, and this is the
+    parameter of the lowest point.
     """
     return touches & (least_gap(profile, _divided(cells_of(own)), parameter, here, enough=-DEPTH) < -DEPTH)
 

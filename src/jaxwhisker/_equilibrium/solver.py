@@ -38,7 +38,7 @@ class StructuredNewton(optx.AbstractRootFinder):
     atol: float
     stages: bool = False
     weigh: Callable[[Contacts, Contacts, Any], Contacts] | None = None  # changes of contacts, by contacts and args
-    both: bool = False  # whether the tolerance applies to the residuals before the last step, too
+    with_residuals: bool = False  # whether the tolerance applies to the residuals before the last step, too
     norm: Any = optx.max_norm
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
@@ -55,7 +55,7 @@ class StructuredNewton(optx.AbstractRootFinder):
         if self.stages:
             changes, change_u = jnp.max(changes, axis=-3), jnp.max(change_u, axis=-1)
         size = jnp.maximum(jnp.max(changes, axis=(-2, -1)), change_u)
-        if self.both:
+        if self.with_residuals:
             size = jnp.maximum(size, jnp.where(jnp.isinf(residual), 0.0, residual))  # infinite beyond the base
         if size.ndim > 0:
             solved, failed = state.step_size < self.atol, ~jnp.isfinite(size)

@@ -19,7 +19,7 @@ from jaxwhisker._model.surface import AbstractSurface
 # What can stand in a file instead of a part that holds a Python function; by the class of the part.
 INSTEAD = {
     AbstractProfile: "a Contour or Polygon through points, or a Graph of a Polynomial",
-    AbstractSurface: "an Ellipsoid, a Paraboloid, or a Revolved or Extruded profile",
+    AbstractSurface: "an Ellipsoid, a Capsule, a RoundedBox, a Paraboloid, or a Revolved or Extruded profile",
     AbstractMotion: "a Translation or Rotation",
     SpaceMotion: "a LinearDrive, RotaryDrive or WhiskDrive",
     object: "a Table or a Polynomial",

@@ -1,6 +1,6 @@
 """Several objects in one scene."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -109,22 +109,29 @@ class Objects(AbstractProfile):
         return "; ".join(map(str, self.each))
 
 
+def of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[list[int], Any]]:
+    """Objects that differ in numbers only: their indices, and all of them as one object with a leading axis."""
+    kinds: dict[Any, list[int]] = {}
+    for k, one in enumerate(objects):
+        leaves, structure = jax.tree.flatten(one)
+        kinds.setdefault((structure, tuple(map(jnp.shape, leaves))), []).append(k)
+
+    def stacked(*leaves):
+        return jnp.stack(jnp.broadcast_arrays(*leaves))
+
+    return [(own, jax.tree.map(stacked, *(objects[k] for k in own))) for own in kinds.values()]
+
+
 def of_each_object(profile: Objects, function: Callable[[Any, Int[Array, ""]], Any]) -> list[Any]:
     """A function of each object and the number of its first piece.
 
     Objects that differ in numbers only are computed together, which compiles faster.
     """
-    groups: dict[Any, list[int]] = {}
-    for k, one in enumerate(profile.objects):
-        leaves, structure = jax.tree.flatten(one)
-        groups.setdefault((structure, tuple(map(jnp.shape, leaves))), []).append(k)
     firsts, each = profile.first_pieces(), {}
-    for numbers in groups.values():
-        some = [profile.objects[k] for k in numbers]
-        if len(some) == 1:
-            each[numbers[0]] = function(some[0], jnp.asarray(firsts[numbers[0]]))
+    for numbers, stacked in of_one_kind(profile.objects):
+        if len(numbers) == 1:
+            each[numbers[0]] = function(profile.objects[numbers[0]], jnp.asarray(firsts[numbers[0]]))
             continue
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(jnp.broadcast_arrays(*leaves)), *some)
         found = jax.vmap(function)(stacked, jnp.asarray([firsts[k] for k in numbers]))
         each |= {k: jax.tree.map(lambda leaf, j=j: leaf[j], found) for j, k in enumerate(numbers)}
     return [each[k] for k in range(len(firsts))]

@@ -9,7 +9,7 @@ from jaxwhisker._base.leaves import as_text, text_unless
 from jaxwhisker._base.types import Scalar, Triple
 from jaxwhisker._model.surface import AbstractDescribed, Quadric, as_point, triple_text
 
-# How deep the point of a plane is below it, a length: a plane has no length of its own that could say how deep.
+# Depth of the inner point of a plane, a length: a plane has no length of its own, and any small number will do.
 BELOW = 1e-30
 
 
@@ -173,7 +173,7 @@ class Plane(AbstractDescribed):
     """Plane, such as a wall: the object is all that lies behind it.
 
     Args:
-        point: (x, y, z) of a point of the plane, lengths.
+        point: (x, y, z) of a point of the plane, lengths; near the whiskers, where a default scan looks for it.
         outward: direction of its normal out of the object, towards the whiskers; any vector other than zero.
 
     Raises:

@@ -79,7 +79,7 @@ class Rounded(AbstractSurface):
             jnp.where(deep, at.side[face] * self.axes[face], normal),
         )
 
-    def stretch(self, x, way):
+    def steps_to_joint(self, x, way):
         at, speed = self._beyond(x), jnp.sum(self.axes * way, axis=1)
         v, outwards = at.distance, at.side * speed > 0
         other = 2 * self.half + jnp.minimum(v, 0.0)  # to the joint on the other side of the core

@@ -110,8 +110,8 @@ class AbstractSurface(eqx.Module):
         """
         return Placed(self, rotation=rotation, about=about)
 
-    def stretch(self, x: Point, way: Point) -> Float[Array, ""]:
-        """How often one may go this way from a point before the curvature changes abruptly; infinite if nowhere."""
+    def steps_to_joint(self, x: Point, way: Point) -> Float[Array, ""]:
+        """Number of steps this way from a point before the curvature begins to change abruptly; infinite if nowhere."""
         del x, way
         return jnp.asarray(jnp.inf)
 
@@ -170,6 +170,10 @@ class Placed(AbstractSurface):
         turn, x = self._before(x)
         distance, normal = self.surface.plane_before(x)
         return distance, _times(turn, normal)
+
+    def steps_to_joint(self, x, way):
+        turn, x = self._before(x)
+        return self.surface.steps_to_joint(x, _times(turn.T, way))
 
     def thickness(self):
         return self.surface.thickness()
@@ -250,6 +254,9 @@ class AbstractDescribed(AbstractSurface):
 
     def plane_before(self, x):
         return self.form().plane_before(x)
+
+    def steps_to_joint(self, x, way):
+        return self.form().steps_to_joint(x, way)
 
     def thickness(self):
         return self.form().thickness()

@@ -71,7 +71,7 @@ class AbstractLoadCase(eqx.Module):
     """A whisker and what loads and supports it, in the units of the whisker."""
 
     @abstractmethod
-    def rods(self) -> AbstractLoadedRod:
+    def equations(self) -> AbstractLoadedRod:
         """The equations."""
 
     @abstractmethod
@@ -84,7 +84,7 @@ class AbstractLoadCase(eqx.Module):
 
 
 class Checks(NamedTuple):
-    """What is known of a solution."""
+    """Errors and stability of a solution."""
 
     residual: Float[Array, ""]
     by_steps: Float[Array, ""]  # residual and change of the rod's end with twice as many steps
@@ -130,7 +130,7 @@ def checks_of(rods: AbstractLoadedRod, unknowns: Unknowns, shares: Shares) -> Ch
 
 def _solution(case: AbstractLoadCase) -> tuple[Unknowns, Int[Array, ""]]:
     """Unknowns and status."""
-    rods = case.rods()
+    rods = case.equations()
     end = branch_of(rods)
     found = checks_of(rods, end.unknowns, end.shares)
     # What the steps of the rod do not resolve is inexact, even if it seems to be unstable.
@@ -146,7 +146,7 @@ def deflected(case: AbstractLoadCase, points: int) -> dict[str, Array]:
     unknowns, status = _solution(jax.lax.stop_gradient(case))
     ok = status == Status.ok
     case = safe_placeholder(case, ok)
-    rods = case.rods()
+    rods = case.equations()
     unknowns = solution_of(misfit, jnp.where(ok, unknowns, jax.lax.stop_gradient(rods.unbent)), rods)
     values = case.values(rods, unknowns, points)
     return {name: jnp.where(ok, value, jnp.nan) for name, value in values.items()} | {"status": status}

@@ -19,6 +19,7 @@ FIRST_STEP = 0.02  # of the march after a corner; steps grow at once where the p
 SHORTEST_STEP = 1e-10
 PREDICTION_ERROR = 2e-3  # target; states between nodes are then interpolated to about 1e-6 before they are solved for
 AT_BASE = 0.02  # lengths from the base, where no contact begins, and forces grow without bound
+LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 SHORTER = 0.4  # of a step that was too long
 
 

@@ -82,7 +82,7 @@ def stretches(position: Along, share: Float[np.ndarray, " points"], *, beyond: b
 
 
 class Walk(NamedTuple, Generic[State, States, Loading]):
-    """A rod behind all places of a walk, and in front of each place to which there is a way."""
+    """The end of a walk, and the rod just before each place to which there is a way."""
 
     end: State  # where the walk ends
     load: Loading  # there

@@ -61,7 +61,7 @@ class PlaneLoadCase(AbstractLoadCase):
     loads: Given
     support: Support
 
-    def rods(self) -> LoadedRod:
+    def equations(self) -> LoadedRod:
         """The equations."""
         return loaded_rod(self.whisker, self.loads, self.support)
 

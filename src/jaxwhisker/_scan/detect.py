@@ -5,14 +5,13 @@ depends on the caller's control no more than stability and snaps do. Later state
 apart again: the missing force decides what they are.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
@@ -25,6 +24,7 @@ from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.second_contact import dips, may_meet, meets, passes
 from jaxwhisker._equilibrium.shaft import Shaft, moved, shaft
+from jaxwhisker._model.objects import of_one_kind
 from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene
 from jaxwhisker._path.path import Path, Status, cut
@@ -111,7 +111,8 @@ def _examined(problem: Problem, path: Path, kinds: Kinds, place: Scalar) -> _Exa
     def changed(one: AbstractProfile, k: Int[Array, ""], standing: Array) -> Bool[Array, " whiskers"]:
         return (number != k) & (jax.vmap(partial(passes, one))(shafts) * standing < 0)
 
-    each = [jax.vmap(changed)(some, k, sides[k]) for k, some in _of_one_kind(problem.profile.objects)]
+    kinds_of_objects = of_one_kind(problem.profile.objects)
+    each = [jax.vmap(changed)(some, jnp.array(k), sides[jnp.array(k)]) for k, some in kinds_of_objects]
     return _Examined(shafts, state.touches, number, jnp.any(jnp.concatenate(each), axis=0), cross)
 
 
@@ -134,20 +135,8 @@ def _at_objects(meets: Callable, profile: AbstractProfile, seen: _Examined) -> B
         own, lowest = number == k, jnp.asarray(one.lowest(), dtype=float)
         return jax.vmap(partial(meets, one))(shafts, touches, jnp.where(own, shafts.parameter, lowest), own)
 
-    each = [jax.vmap(at)(some, k) for k, some in _of_one_kind(profile.objects)]
+    each = [jax.vmap(at)(some, jnp.array(k)) for k, some in of_one_kind(profile.objects)]
     return jnp.any(jnp.concatenate(each), axis=0) | (touches & changed)
-
-
-def _of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[Any, AbstractProfile]]:
-    """The objects of each kind, stacked, and their numbers, because what is done with a kind is compiled once."""
-    kinds: dict[Any, list[int]] = {}
-    for k, one in enumerate(objects):
-        leaves, structure = jax.tree.flatten(one)
-        kinds.setdefault((structure, *map(np.shape, leaves)), []).append(k)
-    return [
-        (np.array(members), jax.tree.map(lambda *leaves: jnp.stack(leaves), *(objects[k] for k in members)))
-        for members in kinds.values()
-    ]
 
 
 def _any_cross(problem: Problem, point: Point, shafts: Shaft) -> Bool[Array, ""]:

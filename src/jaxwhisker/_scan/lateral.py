@@ -12,7 +12,7 @@ force crosses the axis of the base, the three parts are springs in series:
 
     1 / k = rho / F_x + 1 / c_z + a^2 / (k_x + F_y a).
 
-For whiskers with intrinsic curvature, the second variation (rod/second_variation.py) is evaluated on polynomials, by
+For whiskers with intrinsic curvature, the second variation (_rod/second_variation.py) is evaluated on polynomials, by
 Gaussian quadrature. Its errors fall exponentially with their degree.
 """
 

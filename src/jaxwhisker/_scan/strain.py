@@ -20,18 +20,20 @@ from jaxwhisker._base.settings import in_double
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Along
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.contacts import has_several, of_whisker, past_contacts, with_axis_of_contacts
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at
-from jaxwhisker._scan.state import SpaceState, State, base_of, state_of
+from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
 
 INTERVALS = 16  # of a shaft, at whose ends integration steps end, besides those at the given places
 
 
 class Bending(eqx.Module):
-    """How whiskers are bent at places on their shafts; zero beyond the outermost contact, NaN at steps that failed.
+    """How whiskers are bent at places on their shafts: zero beyond the outermost contact; NaN at steps that failed, and
+    at places that a whisker does not have.
 
     In the plane, moments and curvatures are numbers, positive counter-clockwise. In space, a last axis has those about
     d1 and d2, the axes of the cross-section, and the torque and twist about d3, the tangent.
@@ -48,23 +50,23 @@ def bending(result: Any, at: Any) -> Bending:
 
     Args:
         result: the result of a single scan, in the plane or in space.
-        at: arc lengths from the base, shape (places,), between 0 and the length of the shortest whisker.
+        at: arc lengths from the base, shape (places,), between 0 and the length of the longest whisker.
 
     Returns:
         Bending, with arrays of shape (steps, whiskers, places), in space (steps, whiskers, places, 3).
 
     Raises:
         ValueError: if `result` is not the result of a single scan, or `at` is not a non-empty one-dimensional array of
-            numbers between 0 and the length of the shortest whisker.
+            numbers between 0 and the length of the longest whisker.
     """
     checks.instance("result", result, AbstractResult, "the Result of a scan")
     check_not_batched(result, "the result of a single scan")
     checks.vector("at", at)
     scene: Any = result.scene
     if not checks.is_traced((at, scene.whiskers)):
-        length = min(float(whisker.length) for whisker in scene.whiskers)
+        length = max(float(whisker.length) for whisker in scene.whiskers)
         if np.min(at) < 0 or np.max(at) > length:
-            checks.fail("at", f"arc lengths between 0 and {length:g}, the length of the shortest whisker", at)
+            checks.fail("at", f"arc lengths between 0 and {length:g}, the length of the longest whisker", at)
     whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, None if scene.in_space else holds(scene)))
     at = _as_array(at)
 
@@ -83,7 +85,7 @@ def strain(result: Any, at: Any, distance: Any, direction: Any = 0.0) -> Array:
 
     Args:
         result: the result of a single scan, in the plane or in space.
-        at: arc lengths from the base, shape (places,), between 0 and the length of the shortest whisker.
+        at: arc lengths from the base, shape (places,), between 0 and the length of the longest whisker.
         distance: from the whisker's axis, a length: a number, or an array (places,). On the surface of a round shaft it
             is the radius there.
         direction: of the fibre from the axis, rad, about the whisker's tangent from d1 to d2 (right-handed): a number,
@@ -97,12 +99,14 @@ def strain(result: Any, at: Any, distance: Any, direction: Any = 0.0) -> Array:
     Raises:
         ValueError: as `bending`, or if `distance` or `direction` is neither a number nor an array (places,).
     """
-    found = bending(result, at)
     for name, value in (("distance", distance), ("direction", direction)):
         if np.ndim(value) == 0:
             checks.number(name, value)
-        elif np.shape(value) != np.shape(at):
+            continue
+        checks.vector(name, value)
+        if np.shape(value) != np.shape(at):
             checks.fail(name, f"a number or an array of shape {np.shape(at)}, one value for each place", value)
+    found = bending(result, at)
     fibre = _as_array(distance), _as_array(direction)
     return in_blocks(lambda found: _strain(found, *fibre), (found,), BLOCK)
 
@@ -140,12 +144,15 @@ def _bending(
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             if in_space:
-                found.append(bending_of(whisker, jax.tree.map(lambda field, k=k: field[k], state), at))
-                continue
-            moment = _moments(whisker, of_whisker(state, k), at, own)
-            stiffness = jax.vmap(whisker.stiffness_at)(at)
-            stiff = stiffness > 0  # a pointed tip has no stiffness and carries no moment
-            found.append((moment, jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0)))
+                bent = bending_of(whisker, jax.tree.map(lambda field, k=k: field[k], state), at)
+            else:
+                moment = _moments(whisker, of_whisker(state, k), at, own)
+                stiffness = jax.vmap(whisker.stiffness_at)(at)
+                stiff = stiffness > 0  # a pointed tip has no stiffness and carries no moment
+                bent = moment, jnp.where(stiff, moment / jnp.where(stiff, stiffness, 1.0), 0.0)
+            known = jnp.isfinite(state.base_x[k]) & (at >= 0) & (at <= whisker.length)
+            known = known[:, None] if in_space else known
+            found.append([jnp.where(known, part, jnp.nan) for part in bent])
         return Bending(*(jnp.stack(part) for part in zip(*found, strict=True)), in_space=in_space)
 
     return jax.vmap(one, in_axes=(0, None if by is None else 0))(state, control)
@@ -153,7 +160,9 @@ def _bending(
 
 def _moments(whisker: Whisker, state: State, at: Along, own: Held | None) -> Along:
     """Internal moments of one whisker in the plane."""
-    s = jnp.append(whisker.length * jnp.linspace(0.0, 1.0, INTERVALS + 1), at)
+    length, zero = whisker.length, jnp.zeros(())
+    ends = rod.step_ends(jnp.negative(length), material(whisker), steps=INTERVALS, from_base=zero)
+    s = jnp.append(length * ends, jnp.clip(at, 0.0, length))
     if own is None:
         if not has_several(state):
             state = with_axis_of_contacts(state)

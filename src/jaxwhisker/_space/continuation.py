@@ -15,7 +15,7 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Margins, first_crossed, first_dip
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Status, select
-from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP
+from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP, LOSS_BRACKET
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.flow import FIRST_TIME, after_flow, clinging, sliding
@@ -35,7 +35,7 @@ from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.shape import until_second_contact
 from jaxwhisker._space.slip import ContactMotion, SpaceContactState, without_traction
 from jaxwhisker._space.stance import SpaceStance, stance_of
-from jaxwhisker._space.step_length import LOSS_BRACKET, branches, longest_step, step_to_loss
+from jaxwhisker._space.step_length import branches, longest_step, step_to_loss
 
 LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
 INSIDE = 1e-6  # depth of free whiskers that must not be inside the object

@@ -53,7 +53,7 @@ class SpaceLoadCase(AbstractLoadCase):
     whisker: Whisker
     loads: Forces
 
-    def rods(self) -> LoadedInSpace:
+    def equations(self) -> LoadedInSpace:
         """The equations."""
         return loaded_in_space(self.whisker, self.loads)
 

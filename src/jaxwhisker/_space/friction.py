@@ -12,9 +12,9 @@ from jaxwhisker._equilibrium.point import at_arc_length
 from jaxwhisker._path.continuation import WaysOn
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import EventKind, select
-from jaxwhisker._path.transitions import FIRST_STEP, SHORTER, SHORTEST_STEP
+from jaxwhisker._path.transitions import FIRST_STEP, LOSS_BRACKET, SHORTER, SHORTEST_STEP
 from jaxwhisker._space.contact import TRACTION, Traction
-from jaxwhisker._space.continuation import LOSS_BRACKET, ContinuationInSpace
+from jaxwhisker._space.continuation import ContinuationInSpace
 from jaxwhisker._space.flow import at_surface, settling, sliding
 from jaxwhisker._space.march_state import AT_STOP, GRIP, LOSS, MarchInSpace, TrialInSpace
 from jaxwhisker._space.newton import Equations, solve_points

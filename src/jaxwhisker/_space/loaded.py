@@ -1,8 +1,7 @@
 """The equilibrium of one clamped whisker under dead forces in space.
 
-The rod is integrated from its top past all forces to the base. The top is the tip, or the outermost force if the
-whisker is free beyond it. Only differences of positions enter the moments. The rotation at the top is therefore the
-only unknown, and the rotation of the base the only equation.
+The rod is integrated from its tip past all forces to the base. Only differences of positions enter the moments. The
+rotation at the tip is therefore the only unknown, and the rotation of the base the only equation.
 """
 
 from typing import NamedTuple
@@ -48,12 +47,7 @@ class LoadedInSpace(AbstractLoadedRod):
     position: Float[Array, " forces"]
     section: SpaceSection
     straight: Float[Array, "4"]  # rotation at the top without loads
-    free_beyond: bool = eqx.field(static=True)  # whether the whisker goes on beyond the outermost force
-
-    @property
-    def top(self) -> Float[Array, ""]:
-        """Arc length from the base to the top."""
-        return jnp.ones(()) if self.free_beyond else self.position[0]
+    walks_beyond: bool = eqx.field(static=True)  # whether the tip is beyond the outermost force
 
     @property
     def uniform(self) -> bool:
@@ -101,12 +95,11 @@ def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]
     table = jnp.stack(rows)
     table = table[jnp.argsort(-table[:, 3])]
     section, zero = space_section(whisker, length, stiffness), jnp.zeros(())
-    free_beyond = all(load.position is not None for load in loads)
+    walks_beyond = all(load.position is not None for load in loads)
     start = (zero, zero, zero), CLAMP
     nothing = SpaceLoad((zero, zero, zero))
-    top = jnp.ones(()) if free_beyond else table[0, 3]
-    _, unbent = integrate(start, -top, nothing, section, steps=ROD_STEPS, from_base=zero)
-    return LoadedInSpace(table[:, :3], table[:, 3], section, jnp.stack(unbent), free_beyond)
+    _, unbent = integrate(start, -jnp.ones(()), nothing, section, steps=ROD_STEPS, from_base=zero)
+    return LoadedInSpace(table[:, :3], table[:, 3], section, jnp.stack(unbent), walks_beyond)
 
 
 def _rotation(vector: Top) -> Quaternion:
@@ -139,7 +132,7 @@ def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, ste
         share: points on each stretch between forces: see `stretches`.
         steps: of the rod between two points.
     """
-    at, loaded, points, lengths = stretches(rods.position, share, beyond=rods.free_beyond)
+    at, loaded, points, lengths = stretches(rods.position, share, beyond=rods.walks_beyond)
 
     def onwards(state, load, s, stop):
         return integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load, None
@@ -171,8 +164,8 @@ def variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " p
 
     The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
     """
-    fields = jnp.stack(legendre_integrals(found.s / rods.top, MODES)) * rods.top
-    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s / rods.top, MODES)))
+    fields = jnp.stack(legendre_integrals(found.s, MODES))
+    slopes = jnp.stack(jnp.broadcast_arrays(*legendre(found.s, MODES)))
     tangent, force = (jnp.stack(part, axis=-1) for part in (third_axis(found.states[1]), found.loads.force))
     moment = jnp.stack(found.loads.moment_at(found.states[0]), axis=-1)
     flexible = jax.vmap(rods.section.compliance)(found.s)

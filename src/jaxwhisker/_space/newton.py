@@ -197,7 +197,7 @@ def solve_points(problem: SpaceProblem, equations: Equations, guesses: Point) ->
     solution = optx.root_find(
         residuals,
         # Where the surface is strongly curved, small steps turn its normal by much more.
-        StructuredNewton(0.0, tolerance, stages=True, both=True),
+        StructuredNewton(0.0, tolerance, stages=True, with_residuals=True),
         guesses,
         args=jax.lax.stop_gradient((problem, equations)),
         has_aux=True,

@@ -120,9 +120,10 @@ def bending_of(whisker: Whisker, at: Any, s: rod.Along) -> tuple[Array, Array]:
     section = space_section(whisker, 1.0, 1.0)
     arc = jnp.where(at.phase == Phase.free, 0.0, at.contact_arc)
     touches = arc > 0
-    # Integration steps end at equidistant points and at the places.
+    # Integration steps end at the places, too.
+    ends = rod.step_ends(-arc, section.in_plane, steps=LOADED, from_base=jnp.zeros_like(arc))
     places = jnp.clip(s / jnp.where(touches, arc, 1.0), 0.0, 1.0)
-    order = in_order(jnp.linspace(0.0, 1.0, LOADED + 1), places, outwards=True)
+    order = in_order(ends, places, outwards=True)
     w, x, y, z = quaternion_of(at.base_rotation)
     contact = jnp.stack([at.contact_x, at.contact_y, at.contact_z])
     start = tuple(jnp.stack([at.base_x, at.base_y, at.base_z]) - contact), (w, x, y, z)

@@ -36,7 +36,7 @@ class SpaceStance(NamedTuple):
     stiffness: Scalar  # the determinant of the sliding stiffness: vanishes where stability is lost
     sound: Bool[Array, ""]  # whether bases point the way of their mounts
     grip: Float[Array, " whiskers"] | None  # margin to sticking or slipping, positive before; None without friction
-    opens: Bool[Array, ""]  # whether object and shaft do not cross on both sides of every contact
+    opens: Bool[Array, ""]  # whether shafts stay outside the object beside every contact
 
 
 def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, grip: Array | None) -> SpaceStance:

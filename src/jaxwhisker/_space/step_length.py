@@ -6,12 +6,12 @@ from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._path.transitions import LOSS_BRACKET
 from jaxwhisker._space.contact import POINT
 from jaxwhisker._space.march_state import MarchInSpace, TrialInSpace
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import SpaceStance
 
-LOSS_BRACKET = 2e-6  # distance along the path within which a loss is located; its control to the square of it
 FOLD = 1e-3  # rate of the control just before a loss, per arc length, below which it is a fold
 
 
@@ -19,7 +19,7 @@ def longest_step(problem: SpaceProblem, march: MarchInSpace, stance: SpaceStance
     """Length of a step in which no free whisker passes through the object, and no contact where its curvature jumps."""
     speed = jnp.maximum(stance.speed * jnp.abs(march.tangent.u), 1e-12)
     clear = jnp.where(stance.free, stance.advance / speed, jnp.inf)
-    even = jax.vmap(problem.surface.stretch)(march.point.z[:, POINT], march.tangent.z[:, POINT])
+    even = jax.vmap(problem.surface.steps_to_joint)(march.point.z[:, POINT], march.tangent.z[:, POINT])
     return jnp.min(jnp.minimum(clear, jnp.where(march.phase == Phase.free, jnp.inf, even)))
 
 

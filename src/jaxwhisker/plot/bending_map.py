@@ -10,6 +10,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._scan.quantities import Unit, UnitSystem, with_prefix
 from jaxwhisker._scan.result import Result, SpaceResult
+from jaxwhisker._scan.route import turns_of
 from jaxwhisker._scan.strain import bending
 from jaxwhisker.plot.axes import one_axes, title
 from jaxwhisker.plot.runs import check_one_run, progress
@@ -29,8 +30,8 @@ def strain(
     """Draw the largest bending strain of each cross-section, over the control and the arc length from the base.
 
     That is the strain on the surface of a round shaft where it is stretched most: the radius times the change of
-    curvature. A cross marks the largest value of the scan, which the title tells. If the drive reverses, the horizontal
-    axis is its travel. Failed steps are white.
+    curvature. A cross marks the largest value of the scan, which the title states. If the drive reverses, the
+    horizontal axis is its travel. Failed steps are white.
 
     Args:
         result: of a single scan, in the plane or in space.
@@ -53,15 +54,17 @@ def strain(
     if whisker > len(scene.whiskers):
         checks.fail("whisker", f"one of the {len(scene.whiskers)} whiskers", whisker)
     system = UnitSystem(scene, units)
-    at = min(float(one.length) for one in scene.whiskers) * np.linspace(0.0, 1.0, _PLACES)
+    at = float(scene.whiskers[whisker - 1].length) * np.linspace(0.0, 1.0, _PLACES)
     radii = np.array([float(radius(s)) for s in at]) if callable(radius) else np.full(at.size, radius, dtype=float)
-    for name, value in (("radius", float(np.max(radii))), ("modulus", 1.0 if modulus is None else modulus)):
-        checks.number(name, value, positive=True)
+    if not (np.isfinite(radii).all() and np.min(radii) >= 0 and np.max(radii) > 0):
+        checks.fail("radius", "positive, or zero at a pointed tip", np.min(radii))
+    if modulus is not None:
+        checks.number("modulus", modulus, positive=True)
     curvature = np.asarray(bending(result, at).curvature)[:, whisker - 1]
     curvature = np.linalg.norm(curvature[..., :2], axis=-1) if scene.in_space else np.abs(curvature)
     values = radii * curvature * (1.0 if modulus is None else modulus)
     travel, control = progress(result)[0], np.asarray(result.control)
-    reverses = np.any(np.diff(np.sign(np.diff(control)[np.diff(control) != 0])) != 0)
+    reverses = turns_of(control).size > 0
     x, y = system.shown("control", travel if reverses else control), system.shown("contact_arc", at)
     ax = one_axes(ax)
     largest = float(np.nanmax(values)) if np.isfinite(values).any() else np.nan

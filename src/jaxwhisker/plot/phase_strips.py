@@ -12,6 +12,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.result import Event
+from jaxwhisker._scan.route import turns_of
 from jaxwhisker.plot.axes import GREY, colour, event_entries, event_marker, legend_above, one_axes
 from jaxwhisker.plot.runs import Run, abscissa, check_one_run, events_of, places, places_of_events, progress
 
@@ -86,9 +87,7 @@ def _is_marked(event: Event, whisker: int, contact: int) -> bool:
 
 def _turns(control: np.ndarray) -> list[int]:
     """The first step, the steps where the drive reverses, and the last step."""
-    moves = np.flatnonzero(np.diff(control))
-    signs = np.sign(np.diff(control)[moves])
-    return [0, *moves[1:][signs[1:] != signs[:-1]].tolist(), control.size - 1]
+    return [0, *turns_of(control).tolist(), control.size - 1]
 
 
 def _runs(
