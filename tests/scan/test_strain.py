@@ -1,6 +1,7 @@
 """Bending and strain along shafts, against an independent integration of the rod from its base to its contacts."""
 
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from scenes import check_derivatives, cone, model, step_nearest
 CONTROL = np.linspace(0.8, -1.6, 64)  # also that of test_shapes.py, for the same programs
 AT = np.array([0.0, 0.013, 0.2, 0.5, 0.77, 0.95])  # arc lengths
 EXACT = 1e-9  # of moments up to 3: the tolerance of the independent integration, and 16 integration steps
-SECTIONS = 1e-7  # of whiskers that are not uniform, whose method is of order 6
+SECTIONS = 2e-8  # of whiskers that are not uniform, of moments below 1 and curvatures up to 7: 64 steps of order 6
 CHORDS = 1e-4  # of the linear interpolation between 200 points of a shaft
 VISIBLE = 1e-3  # moments that an error would change
 RECOVERED = 1e-6  # relative: least squares stop at 1e-7
@@ -67,14 +68,14 @@ def test_moments_are_those_of_the_forces_of_contacts(name):
     np.testing.assert_allclose(bent.moment[..., 0], -result.mz, atol=EXACT)
 
 
-def test_bending_of_a_curved_cone():
-    whisker = cone(0.3, curvature=(0.4, 0.4))
-    result = jw.scan(jw.Scene(whisker, jw.Parabola(0.2)), CONTROL)
-    bent, stiffness = jw.bending(result, AT), np.array([whisker.stiffness_at(s) for s in AT])
+@pytest.mark.parametrize("ratio", [0.3, 0.05])
+def test_bending_of_a_curved_cone(ratio):
+    result = jw.scan(jw.Scene(cone(ratio, curvature=(0.4, 0.4)), jw.Parabola(0.2)), CONTROL)
+    bent, stiffness = jw.bending(result, AT), (1 - (1 - ratio) * AT) ** 4
     for step in np.flatnonzero(result.contact_arc[:, 0] > 0)[::6]:
-        exact = moments(result, step, stiffness=lambda s: (1 - 0.7 * s) ** 4, curvature=0.4)
+        exact = moments(result, step, stiffness=lambda s: (1 - (1 - ratio) * s) ** 4, curvature=0.4)
         np.testing.assert_allclose(bent.moment[step, 0], exact, atol=SECTIONS)
-        np.testing.assert_allclose(bent.curvature[step, 0], exact / stiffness, atol=SECTIONS / stiffness.min())
+        np.testing.assert_allclose(bent.curvature[step, 0], exact / stiffness, atol=SECTIONS)
 
 
 def test_springs_and_foundations_bend_a_shaft_below_them():
@@ -92,7 +93,7 @@ def test_springs_and_foundations_bend_a_shaft_below_them():
         np.testing.assert_allclose(bent[step, 0, beyond], exact[beyond], atol=CHORDS)
 
 
-def test_free_parts_and_failed_steps():
+def test_free_parts_are_not_strained():
     result = scanned()
     strain = np.asarray(jw.strain(result, AT, 0.01))[:, 0]
     arc, ok = np.asarray(result.contact_arc)[:, :1], np.asarray(result.status) == jw.Status.ok
@@ -159,6 +160,21 @@ def test_bending_and_torsion_in_space():
     # A fibre at d1 is stretched by a bend to the other side, about -d2, and one at d2 by a bend about d1.
     for direction, part in ((0.0, -bent.curvature[..., 1]), (np.pi / 2, bent.curvature[..., 0])):
         np.testing.assert_allclose(jw.strain(result, AT, 0.02, direction), 0.02 * part, atol=EXACT)
+
+
+def test_failed_steps_and_places_that_a_whisker_does_not_have_are_nan():
+    results: list[Any] = [scanned(), jw.scan(in_space(0.7), CONTROL)]
+    for result in results:
+        fields = {name: getattr(result, name) for name in type(result).__dataclass_fields__}
+        whole = {name: value for name, value in fields.items() if isinstance(value, jax.Array) and name != "control"}
+        # As scans do: failed steps are NaN, or zero if they are integers.
+        failed = {n: v.at[20].set(0 if jnp.issubdtype(v.dtype, jnp.integer) else jnp.nan) for n, v in whole.items()}
+        broken: Any = type(result)(**fields | failed)
+        strain = jw.strain(broken, AT, 0.01)
+        assert np.isnan(strain[20]).all()
+        np.testing.assert_array_equal(np.delete(strain, 20, 0), np.delete(jw.strain(result, AT, 0.01), 20, 0))
+        outside = jax.jit(lambda at, result=result: jw.bending(result, at).moment)(np.array([-0.1, 0.2, 1.1]))
+        assert np.isnan(outside[:, :, [0, 2]]).all() and np.isfinite(outside[:, :, 1]).all()
 
 
 def test_space_agrees_with_the_plane_and_turns_with_the_whisker():

@@ -112,16 +112,15 @@ def centre_line(whisker: Whisker, count: int, at: Any) -> tuple[Array, ...]:
     return tuple(line.T)
 
 
-def bending_of(whisker: Whisker, at: Any, s: rod.Along) -> tuple[Array, Array]:
+def bending_of(whisker: Whisker, at: Any, s: rod.Along, intervals: int) -> tuple[Array, Array]:
     """Internal moments of one whisker in a state about d1, d2 and d3 at these arc lengths, and changes of curvature.
 
-    Both are zero beyond the contact.
+    Both are zero beyond the contact. Integration steps end at the places, and between so many intervals.
     """
     section = space_section(whisker, 1.0, 1.0)
     arc = jnp.where(at.phase == Phase.free, 0.0, at.contact_arc)
     touches = arc > 0
-    # Integration steps end at the places, too.
-    ends = rod.step_ends(-arc, section.in_plane, steps=LOADED, from_base=jnp.zeros_like(arc))
+    ends = rod.step_ends(-arc, section.in_plane, steps=intervals, from_base=jnp.zeros_like(arc))
     places = jnp.clip(s / jnp.where(touches, arc, 1.0), 0.0, 1.0)
     order = in_order(ends, places, outwards=True)
     w, x, y, z = quaternion_of(at.base_rotation)
