@@ -96,7 +96,8 @@ def _sprung_shaft(
     walked = walk(start, load, arc, material, places, body.laws, sprung.drive, steps=1)
     nothing = Load(None, jnp.zeros_like(arc), None)
     beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
-    to_base = ShaftLine(*walked.passed, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
+    x, y, cos, sin = walked.passed
+    to_base = ShaftLine(x, y, cos, sin, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
     to_tip = ShaftLine(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))
     p = contact.parameter(body.profile.on(body.piece), z, phase, side, friction)
     p = jnp.where(phase == Phase.free, sprung.placeholder_parameter, p)

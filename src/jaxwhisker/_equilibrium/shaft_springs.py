@@ -21,7 +21,7 @@ from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.foundation import Density, integrate_on
-from jaxwhisker._rod.rod import Load, Material, RodState, RodStates, Section, integrate
+from jaxwhisker._rod.rod import Load, Material, RodState, Section, integrate
 from jaxwhisker._rod.walk import Walk, in_order, pressed
 from jaxwhisker._rod.walk import walk as walk_past
 
@@ -248,7 +248,7 @@ def walk(
     steps: int,
     solver: diffrax.AbstractSolver | None = None,
     sign: float = 1.0,
-) -> Walk[RodState, RodStates, Load]:
+) -> Walk:
     """Follow a rod past all springs.
 
     Args:

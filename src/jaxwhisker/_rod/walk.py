@@ -6,7 +6,7 @@ base and away from it, differ in two functions: how the rod is integrated, and h
 """
 
 from collections.abc import Callable
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,6 @@ from jaxwhisker._rod.rod import Along, Load
 
 Tree = TypeVar("Tree")
 State = TypeVar("State")
-States = TypeVar("States")
 Loading = TypeVar("Loading")
 Place = TypeVar("Place")
 
@@ -81,13 +80,13 @@ def stretches(position: Along, share: Float[np.ndarray, " points"], *, beyond: b
     return Stretches(at, first[1:] if beyond else first, points, starts - ends)
 
 
-class Walk(NamedTuple, Generic[State, States, Loading]):
+class Walk(NamedTuple):  # not generic: types of its fields could not be checked then
     """The end of a walk, and the rod just before each place to which there is a way."""
 
-    end: State  # where the walk ends
-    load: Loading  # there
-    passed: States  # at the places
-    loads: Loading  # in front of the places
+    end: Any  # state where the walk ends
+    load: Any  # there
+    passed: Any  # states at the places
+    loads: Any  # in front of the places
     ways: Any  # what is kept of the way to each place
 
 
@@ -100,7 +99,7 @@ def walk(
     places: Place,
     *,
     s: Scalar | None = None,
-) -> Walk[State, Any, Loading]:
+) -> Walk:
     """Follow a rod past places.
 
     Args:

@@ -137,9 +137,7 @@ def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     return start, pressed((base.x, base.y), -fx, -fy, -mz)
 
 
-def walk_outwards(
-    material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int
-) -> Walk[rod.RodState, rod.RodStates, rod.Load]:
+def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
     """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
     above = held.held_by.above
     springs, given = jax.tree.map(lambda leaf: leaf[::-1], (above.springs, above.given))

@@ -30,7 +30,7 @@ from jaxwhisker._scan.space import problem_now
 from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem
-from jaxwhisker._space.stance import clearance
+from jaxwhisker._space.stance import distance
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above
 from jaxwhisker.plot.body import Body, Points, body_of
 from jaxwhisker.plot.drawing import (
@@ -227,7 +227,7 @@ def _limits(problem: SpaceProblem) -> tuple[Scalar, Scalar]:
 @Program
 def _distances(problem: SpaceProblem, controls: Float[Array, " controls"]) -> Float[Array, " controls"]:
     """Distance of the unloaded whiskers from the object at each control."""
-    return jax.vmap(lambda u: clearance(problem, u))(controls)
+    return jax.vmap(lambda u: distance(problem, u))(controls)
 
 
 def _springs(scene: SpaceScene, frame: np.ndarray, bases: np.ndarray) -> tuple[np.ndarray, ...]:
