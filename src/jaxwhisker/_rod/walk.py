@@ -25,8 +25,8 @@ Place = TypeVar("Place")
 class Order(NamedTuple):
     """Places of several kinds along a rod, in the order in which a walk passes them."""
 
-    at: Along  # arc lengths from the base
-    ranks: tuple[Int[Array, " places"], ...]  # of the places of each kind
+    at: Float[Array, " places"]  # arc lengths from the base
+    ranks: tuple[Int[Array, "..."], ...]  # of the places of each kind
 
     def spread(self, kind: int, tree: Tree) -> Tree:
         """Fields of the places of one kind as fields of all places, which are zero at the others."""
@@ -36,7 +36,7 @@ class Order(NamedTuple):
         )
 
 
-def in_order(*kinds: Along, outwards: bool = False) -> Order:
+def in_order(*kinds: Array, outwards: bool = False) -> Order:
     """Places of several kinds from the tip to the base, or outwards.
 
     Of places that coincide, those of the first kind come first, and those of the same kind stay in their order.
@@ -54,13 +54,13 @@ NO_POINTS = np.zeros(0)  # on stretches
 class Stretches(NamedTuple):
     """Loads from the top of a whisker to its base, and points on the stretches between them."""
 
-    at: Along  # arc lengths of all, from the top to the base
+    at: Float[Array, " places"]  # arc lengths of all, from the top to the base
     loads: Int[np.ndarray, " loads"]  # indices of the loads
     points: Int[np.ndarray, " points"]  # indices of the points
-    lengths: Along  # of the stretches
+    lengths: Float[Array, " stretches"]
 
 
-def stretches(position: Along, share: Float[np.ndarray, " points"], *, beyond: bool) -> Stretches:
+def stretches(position: Float[Array, " loads"], share: Float[np.ndarray, " share"], *, beyond: bool) -> Stretches:
     """Points on the stretches from load to load, and from the last load to the base.
 
     Args:
