@@ -69,7 +69,7 @@ class ElementEnds(NamedTuple):
     contact: Scalar  # number of the element that ends at the contact
 
     @property
-    def arcs(self) -> Float[Array, " elements"]:
+    def arcs(self) -> Float[Array, "*batch elements"]:
         """The arc lengths."""
         return self.order.at
 
