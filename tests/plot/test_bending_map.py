@@ -53,7 +53,8 @@ def test_a_taper_reversals_and_failed_steps(result):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"radius": 0.0}, "`radius` must be positive"),
+        ({"radius": 0.0}, "`radius` must be a positive"),
+        ({"radius": "thin"}, "`radius` must be a positive finite number, got 'thin'"),
         ({"radius": lambda s: 0.01 - 0.02 * s}, "`radius` must be positive, or zero"),
         ({"radius": RADIUS, "modulus": -1.0}, "`modulus` must be a positive"),
         ({"radius": RADIUS, "whisker": 3}, "`whisker` must be one of the 2 whiskers"),

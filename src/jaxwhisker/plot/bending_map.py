@@ -54,6 +54,8 @@ def strain(
     if whisker > len(scene.whiskers):
         checks.fail("whisker", f"one of the {len(scene.whiskers)} whiskers", whisker)
     system = UnitSystem(scene, units)
+    if not callable(radius):
+        checks.number("radius", radius, positive=True)
     at = float(scene.whiskers[whisker - 1].length) * np.linspace(0.0, 1.0, _PLACES)
     radii = np.array([float(radius(s)) for s in at]) if callable(radius) else np.full(at.size, radius, dtype=float)
     if not (np.isfinite(radii).all() and np.min(radii) >= 0 and np.max(radii) > 0):
