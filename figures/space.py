@@ -1,7 +1,7 @@
 """Draw the figures of docs/space.md.
 
-python figures/space.py writes docs/space_signals.png, space_instability.png, space_pictures.png, space_image.png and
-space_overview.png.
+python figures/space.py writes docs/space_signals.png, space_instability.png, space_pictures.png, space_row.png,
+space_image.png and space_overview.png.
 """
 
 from pathlib import Path
@@ -42,6 +42,21 @@ def draw_signals() -> None:
         axis.invert_xaxis()
         axis.legend(frameon=False)
     figure.savefig(DOCS / "space_signals.png", dpi=150)
+
+
+def draw_row() -> None:
+    """A whisker past three objects, and its signals."""
+    rod, peg = jw.Cylinder(0.2, (0.0, 0.8, 0.0), (0.0, 0.3, 1.0)), jw.Capsule(0.02, (-0.3, 0.5, 0.1), (-0.3, 1.5, 0.4))
+    result = jw.scan(jw.SpaceScene(jw.Whisker(), (rod, peg, jw.Sphere(0.25, (-1.7, 0.9, 0.1)))))
+    figure = pyplot.figure(figsize=(8, 3.4), layout="constrained")
+    jw.plot.shapes(result, [-0.1, -0.42, -0.46, -0.9, -1.6, -1.78], ax=figure.add_subplot(121, projection="3d"))
+    signal = figure.add_subplot(122)
+    for name, colour in zip(("fx", "fy", "fz"), COLOURS, strict=False):
+        signal.plot(np.asarray(result.control), np.asarray(getattr(result, name))[:, 0], color=colour, label=name)
+    signal.set(xlabel="drive position $u/L$", ylabel="force / (EI/L²)")
+    signal.invert_xaxis()
+    signal.legend(frameon=False)
+    figure.savefig(DOCS / "space_row.png", dpi=150)
 
 
 def draw_instability() -> None:

@@ -36,6 +36,7 @@ KINDS = tuple(
     for drive in ("linear", "whisk")
 )
 SURFACES = "sphere", "ellipsoid", "cylinder", "paraboloid"
+APART = 0.05  # lengths between two objects
 EVERYDAY = "capsule", "box", "plane"  # a plane only with linear drives
 
 
@@ -228,3 +229,27 @@ def _tried(rod, base, drive, rng, surfaces):
         tilting=tilting,
     )
     return Drawn(scene, plain, f"{name} {size:.2f} {text} curv {curvature.round(2)} roll {roll:.2f} taper {taper:.2f}")
+
+
+def drawn_before_two(kind: str, rng: np.random.Generator) -> tuple[jw.SpaceScene, tuple[Plain, Plain]]:
+    """A random scene of a kind with a linear drive, with a second object that is apart from the first one."""
+    while True:
+        first = drawn(kind, rng, SURFACES[:3])
+        _, drive, turned = first.plain.placement(0.0)
+        motion = first.scene.motion
+        assert isinstance(motion, jw.LinearDrive)
+        direction = drive @ np.asarray(motion.direction)
+        tip = turned @ UPRIGHT.T @ unloaded(np.asarray(first.plain.curvature(0.0)))[-1]
+        size = float(np.exp(rng.uniform(np.log(0.1), np.log(0.8))))
+        surface, placed = surface_drawn(rng, SURFACES[rng.integers(3)], size)
+        inside = _ahead(rng, placed, direction, tip, size)
+        if inside is None:
+            continue
+        inside = inside + rng.uniform(0.3, 3.0) * direction
+        second = first.plain._replace(surface=placed(inside))
+        cloud = inside + rng.uniform(-2.0, 2.0, (40000, 3))
+        if np.min(np.maximum(first.plain.surface.off(cloud), second.surface.off(cloud))) < APART:
+            continue
+        objects = (first.scene.surface, surface.moved(tuple(map(float, inside))))
+        scene = jw.SpaceScene(first.scene.whisker, objects, first.scene.support, motion=motion)
+        return scene, (first.plain, second)

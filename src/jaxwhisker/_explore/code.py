@@ -112,6 +112,8 @@ class _Writer:
             return self._named_support(value)
         if isinstance(value, Whisker) and isinstance(value.bending_stiffness, RoundSection):
             return self._whisker_from_material(value, value.bending_stiffness)
+        if len(objects := getattr(value, "objects", ())) > 1:
+            return self.expression(objects, "objects")
         return self._placed(value) if getattr(value, "is_surface", False) else None
 
     def _placed(self, surface: Any) -> str | None:

@@ -94,15 +94,26 @@ function drawTicks(context, lines, { values, ends, label }, middle) {
   context.restore();
 }
 
-/** Draw the faces of the object that are turned towards the eye, its silhouette and the edges of its cuts. */
-function drawBody({ context, ink }, picture, project, eye) {
-  const { corners, normals, shades, faces, edges, beside, sharp } = picture;
+/** Draw the faces of the objects that are turned towards the eye, their silhouettes and the edges of their cuts. */
+function drawBody(sheet, picture, project, eye) {
+  const { corners, shades, faces, part } = picture;
+  const nearest = new Array(shades.length ? part[shades.length - 1] + 1 : 0).fill(-Infinity); // corner of each object
+  faces.forEach((corner, k) => {
+    const own = part[Math.floor(k / 3)];
+    nearest[own] = Math.max(nearest[own], dot3(corners, eye, 3 * corner));
+  });
+  const order = [...nearest.keys()].sort((one, other) => nearest[one] - nearest[other]);
+  for (const own of order) drawObject(sheet, picture, project, eye, own);
+}
+
+function drawObject({ context, ink }, picture, project, eye, own) {
+  const { corners, normals, shades, faces, edges, beside, sharp, part } = picture;
   const seen = shades.map((_, face) => dot3(normals, eye, 3 * face) > 0);
   const bright = ink.match(/\d+/g).slice(0, 3).reduce((sum, part) => sum + Number(part), 0) > 384;
   const at = Array.from({ length: corners.length / 3 }, (_, k) => project(corners, k));
   const paths = new Map(); // by grey, because many small paths are slow
   for (let face = 0; face < shades.length; face++) {
-    if (!seen[face]) continue;
+    if (!seen[face] || part[face] !== own) continue;
     const grey = 2 * Math.round(127 * (bright ? shades[face] - 0.6 : shades[face]));
     if (!paths.has(grey)) paths.set(grey, new Path2D());
     const [first, second, third] = faces.subarray(3 * face, 3 * face + 3);
@@ -120,6 +131,7 @@ function drawBody({ context, ink }, picture, project, eye) {
   }
   context.beginPath();
   for (let edge = 0; edge < sharp.length; edge++) {
+    if (part[beside[2 * edge]] !== own) continue;
     const [one, other] = [seen[beside[2 * edge]], seen[beside[2 * edge + 1]]];
     if (one === other && !(sharp[edge] && one)) continue;
     context.moveTo(...at[edges[2 * edge]]);
@@ -129,14 +141,14 @@ function drawBody({ context, ink }, picture, project, eye) {
   context.stroke();
 }
 
-/** Returns a function that tells whether the object hides a point from the eye; see `hides` in plot/body.py. */
-function hiding({ normals, offsets }, eye) {
-  const faces = Array.from({ length: offsets?.length ?? 0 }, (_, face) => [
-    normals.subarray(3 * face, 3 * face + 3),
-    offsets[face],
-    dot3(normals, eye, 3 * face),
-  ]);
-  return (points, k) => {
+/** Returns a function that tells whether an object hides a point from the eye; see `hides` in plot/body.py. */
+function hiding({ normals, offsets, part }, eye) {
+  const objects = [];
+  for (let face = 0; face < (offsets?.length ?? 0); face++) {
+    const plane = [normals.subarray(3 * face, 3 * face + 3), offsets[face], dot3(normals, eye, 3 * face)];
+    (objects[part[face]] ??= []).push(plane);
+  }
+  const hides = (faces, points, k) => {
     let [enters, leaves] = [0, Infinity]; // distances of the object along the line of sight
     for (const [normal, offset, rate] of faces) {
       const off = dot3(points, normal, 3 * k) + offset;
@@ -145,8 +157,9 @@ function hiding({ normals, offsets }, eye) {
       else if (off > 0) return false;
       if (enters >= leaves) return false;
     }
-    return faces.length > 0;
+    return true;
   };
+  return (points, k) => objects.some((faces) => hides(faces, points, k));
 }
 
 /** Draw the scene in space at a step, seen by a camera; `failure` is the reason if the step has no state. */

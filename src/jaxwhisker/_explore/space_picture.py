@@ -47,7 +47,7 @@ class SpacePicture(NamedTuple):
                 "offsets": body.offsets,
                 "shades": shades_of(body),
             }
-            integers = {name: getattr(body, name).astype(np.int32) for name in ("faces", "edges", "beside")}
+            integers = {name: getattr(body, name).astype(np.int32) for name in ("faces", "edges", "beside", "part")}
             integers["sharp"] = body.sharp.astype(np.int8)
         header = {
             "window": (scale * self.window).tolist(),

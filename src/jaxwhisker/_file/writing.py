@@ -38,7 +38,7 @@ def tables_of(scene: AbstractScene) -> dict[str, Any]:
     for name in arguments_of(type(scene)):
         key, value = RENAMED.get(name, name), getattr(scene, name)
         if key == "objects":
-            value = value.objects if isinstance(value, AbstractProfile) else (value,)
+            value = value.objects
         if not _is_default(value, arguments[key]):
             tables[key] = _written(value, arguments[key], key, scene)
     return tables

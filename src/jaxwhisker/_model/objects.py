@@ -109,7 +109,7 @@ class Objects(AbstractProfile):
         return "; ".join(map(str, self.each))
 
 
-def of_one_kind(objects: Sequence[AbstractProfile]) -> list[tuple[list[int], Any]]:
+def of_one_kind(objects: Sequence[Any]) -> list[tuple[list[int], Any]]:
     """Objects that differ in numbers only: their indices, and all of them as one object with a leading axis."""
     kinds: dict[Any, list[int]] = {}
     for k, one in enumerate(objects):

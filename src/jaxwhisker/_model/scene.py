@@ -62,10 +62,6 @@ class _OfObject(type(eqx.Module)):
     """The type of scenes, whose kind depends on the object."""
 
     def __call__(cls, *args: Any, **kwargs: Any):
-        for value in (*args, *kwargs.values()):
-            if isinstance(value, list | tuple) and any(map(_in_space, value)):
-                allowed = "one surface: several objects are not available in space"
-                checks.fail("profile", allowed, f"({', '.join(map(str, value))})")
         kwargs |= {"surface": kwargs.pop("profile")} if _in_space(kwargs.get("profile")) else {}
         if _in_space(kwargs.get("surface")) or any(map(_in_space, args)):
             from jaxwhisker._model.space_scene import SpaceScene
@@ -79,7 +75,8 @@ class _OfObject(type(eqx.Module)):
 
 
 def _in_space(value: Any) -> bool:
-    return getattr(value, "is_surface", False)
+    some = value if isinstance(value, tuple) else (value,)
+    return any(getattr(one, "is_surface", False) for one in some)
 
 
 class Scene(AbstractScene, metaclass=_OfObject):

@@ -10,6 +10,7 @@ The support exerts the reaction (fx, fy, fz) on the whisker, and the moment (mx,
 in the frame of the scene.
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
@@ -21,6 +22,7 @@ from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._model.surfaces import as_one_surface
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
@@ -33,7 +35,7 @@ class SpaceScene(AbstractScene):
     Args:
         whisker: one Whisker for all bases, or a tuple with one per base.
         surface: the object: a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved
-            or Surface.
+            or Surface; or a tuple of objects, which must be apart from each other and are touched one after the other.
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
@@ -49,7 +51,7 @@ class SpaceScene(AbstractScene):
     """
 
     whisker: Whisker | tuple[Whisker, ...]
-    surface: AbstractSurface
+    surface: AbstractSurface = eqx.field(converter=as_one_surface)
     support: Support = Support()
     rod: AbstractRod = Shooting()
     motion: SpaceMotion | AbstractMotion = Translation()
@@ -60,7 +62,10 @@ class SpaceScene(AbstractScene):
         self.support = in_row(self.whisker, self.support)
 
     def __check_init__(self):
-        allowed = "a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved or Surface"
+        allowed = (
+            "a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved or Surface, or "
+            "a tuple of these"
+        )
         checks.instance("surface", self.surface, AbstractSurface, allowed)
         kinds = "a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or a motion in the plane"
         checks.instance("motion", self.motion, (SpaceMotion, AbstractMotion), kinds)

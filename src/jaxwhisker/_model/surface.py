@@ -6,12 +6,12 @@ they are placed, so that scenes with any of them share their programs. So do cap
 
 import abc
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
@@ -72,6 +72,20 @@ class AbstractSurface(eqx.Module):
         gradient = self.gradient(x)
         size = _norm(gradient)
         return self.level(x) / size, gradient / size
+
+    @property
+    def objects(self) -> tuple["AbstractSurface", ...]:
+        """The single objects."""
+        return (self,)
+
+    def object_of(self, x: Point) -> Int[Array, ""]:
+        """Which object a point on the surface belongs to, from 0."""
+        del x
+        return jnp.asarray(0)
+
+    def of_each(self, function: Callable[["AbstractSurface"], Any]) -> Any:
+        """A function of every object, in their order along a leading axis."""
+        return jax.tree.map(lambda leaf: leaf[None], function(self))
 
     @abc.abstractmethod
     def in_unit(self, length: Scalar) -> "AbstractSurface":

@@ -78,12 +78,12 @@ class Event(NamedTuple):
 
     @property
     def place(self) -> str:
-        """Object and contact in words, such as " with object 2 at contact 1"; empty if a whisker has only one."""
-        if not has_several(self.after) or self.contact is None:
+        """Object and contact in words, such as " with object 2 at contact 1"; of either only if there are several."""
+        if self.contact is None:
             return ""
         to = {EventKind.touch: "with", EventKind.release: "from"}.get(self.kind, "on")
         objects = self.after.contact_object is not None
-        return f" {to} object {self.object}" * objects + f" at contact {self.contact}"
+        return f" {to} object {self.object}" * objects + f" at contact {self.contact}" * has_several(self.after)
 
     def __str__(self) -> str:
         named = " ".join(str(w) for w in self.whiskers)

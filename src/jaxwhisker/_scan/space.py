@@ -31,7 +31,7 @@ from jaxwhisker._space.implicit import sides_of_events, solved, with_turns
 from jaxwhisker._space.newton import Equations, Phases, plain, solve_points
 from jaxwhisker._space.problem import THINNEST, Contacts, SpaceProblem, of_each, problem_in_space
 from jaxwhisker._space.residuals import residuals
-from jaxwhisker._space.shape import touches_twice
+from jaxwhisker._space.second_contact import touches_twice
 from jaxwhisker._space.slip import SlipMode, following
 from jaxwhisker._space.stance import base_placement
 
@@ -283,6 +283,7 @@ def signals(
         contact_force=if_touching(_size(problem, z)) * unit.force,
         contact_arc=if_touching(arc) * unit.length,
         phase=phase,
+        **_objects(problem, z, touching),
         **({} if slips is None else _friction(problem, z, base, slips, if_touching)),
     )
     displacement = None
@@ -296,6 +297,13 @@ def _size(problem: SpaceProblem, z: Contacts) -> Float[Array, " whiskers"]:
     if problem.friction is None:
         return z[:, FORCE]
     return z[:, FORCE] * jnp.sqrt(1 + problem.friction**2 * jnp.sum(z[:, TRACTION] ** 2, axis=1))
+
+
+def _objects(problem: SpaceProblem, z: Contacts, touching: Array) -> dict[str, Array]:
+    """Fields of a state with several objects."""
+    if len(problem.surface.objects) == 1:
+        return {}
+    return {"contact_object": jnp.where(touching, jax.vmap(problem.surface.object_of)(z[:, POINT]) + 1, 0)}
 
 
 def _friction(

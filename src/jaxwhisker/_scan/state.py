@@ -74,6 +74,8 @@ class SpaceState(eqx.Module):
     friction_x: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     friction_y: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     friction_z: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    # None with one object: the number of the object that is touched, in the order of the scene's objects: 1, 2, ...
+    contact_object: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
     in_space = True
 
     @property

@@ -20,6 +20,7 @@ from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.contact import AHEAD, FORCE, SLACK, UNKNOWNS, Traction
 from jaxwhisker._space.flow import FIRST_TIME, after_flow, clinging, sliding
 from jaxwhisker._space.free import Nearest
+from jaxwhisker._space.jumps import met_on_the_way
 from jaxwhisker._space.march_state import (
     AT_STOP,
     PHASE,
@@ -32,9 +33,9 @@ from jaxwhisker._space.march_state import (
 )
 from jaxwhisker._space.newton import Equations, SpaceSolution, solve_points
 from jaxwhisker._space.problem import SpaceProblem
-from jaxwhisker._space.shape import until_second_contact
+from jaxwhisker._space.second_contact import until_second_contact
 from jaxwhisker._space.slip import ContactMotion, SpaceContactState, without_traction
-from jaxwhisker._space.stance import SpaceStance, stance_of
+from jaxwhisker._space.stance import SpaceStance, leaves, stance_of
 from jaxwhisker._space.step_length import branches, longest_step, step_to_loss
 
 LONGEST_STEP = 4.0  # lengths; the prediction error keeps nearly all steps far below it
@@ -256,13 +257,15 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         ]
 
     def _has_passed(self, march: MarchInSpace, trial: TrialInSpace) -> Bool[Array, ""]:
-        """Whether all whiskers have passed the object and cannot meet it again: the drive moves on along a line."""
-        distance = trial.stance.nearest.distance
-        if self.problem.ends is not None:
+        """Whether all whiskers have passed all objects and cannot meet them again: the drive moves on along a line."""
+        distance, problem = trial.stance.nearest.distance, self.problem
+        if problem.ends is not None:
             return jnp.asarray(False)
-        leaves = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
+        recedes = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
+        if len(problem.surface.objects) > 1:  # leaving one, it may come to another
+            recedes &= leaves(problem, trial.point.u, march.direction)
         return (
-            jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & leaves
+            jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & recedes
         )
 
     def written(self, march: MarchInSpace, trial: TrialInSpace, node, loss: Loss):
@@ -364,13 +367,21 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
     def arrived(self, march: MarchInSpace, trial: TrialInSpace, node, falls):
         del falls
         stance, snapped = trial.stance, march.target.number == SNAP
-        deep = stance.free & (stance.nearest.distance < -INSIDE)
+        deep, passes = stance.free & (stance.nearest.distance < -INSIDE), jnp.asarray(False)
+        if len(self.problem.surface.objects) > 1:
+            before, jumps = march.pending.before.phase, snapped & jnp.any(march.pending.whiskers)
+            sides = (march.pending.z_before, before), (march.point.z, march.phase)
+            met = met_on_the_way(self.problem, march.point.u, *sides, jumps)
+            lands = met.some & stance.free
+            march = march.replace(point=march.point._replace(z=jnp.where(lands[:, None], met.contact, march.point.z)))
+            deep, passes = deep | lands, jnp.any(met.some & ~lands)
         inside = jnp.any(deep)
         return Arrival(
             node,
-            trial.converged & ~inside & stance.opens,
+            trial.converged & ~inside & ~passes & stance.opens,
             [
                 (~trial.converged | (inside & ~snapped), march.stopped(Status.lost)),
+                (passes, march.stopped(Status.second_contact)),
                 (inside, clinging(march, deep)),
                 (~stance.opens, march.stopped(Status.not_convex)),
             ],

@@ -44,9 +44,50 @@ def in_scene(outline: SpaceOutline, base: Placement) -> SpaceOutline:
     return SpaceOutline(position, jnp.sum(rotation[:, :, None] * outline.rotation[:, None], axis=2))
 
 
-def distances_of(surface: AbstractSurface, outline: SpaceOutline) -> Float[Array, " points"]:
-    """Distances of the points of a whisker, placed in the scene, from the surface."""
-    return jax.vmap(surface.plane_before)(outline.position)[0]
+def distances_of(surface: AbstractSurface, position: Float[Array, "points 3"]) -> Float[Array, " points"]:
+    """Distances of points from the surface."""
+    return jax.vmap(surface.plane_before)(position)[0]
+
+
+class Line(NamedTuple):
+    """The centre line of a whisker between points from base to tip."""
+
+    position: Float[Array, "points 3"]
+    tangent: Float[Array, "points 3"]
+    spacing: Float[Array, "*intervals"]  # arc length between neighbouring points; one number if all are the same
+
+    def interval(self, place: Float[Array, ""]) -> tuple[Cubic, Float[Array, ""]]:
+        """The interval with a place, which is counted in intervals from the base, and where in it the place is."""
+        k = jnp.clip(jnp.floor(place).astype(int), 0, self.position.shape[0] - 2)
+        spacing = self.spacing[k] if self.spacing.ndim else self.spacing
+        ends = self.position[k], self.position[k + 1]
+        return Cubic(*ends, *(spacing * self.tangent[j] for j in (k, k + 1))), place - k
+
+
+def nearest_place(surface: AbstractSurface, line: Line) -> Float[Array, ""]:
+    """The place on a line, in intervals from the base, that is nearest to the object."""
+    intervals = line.position.shape[0] - 1
+
+    def off(place):
+        cubic, t = line.interval(place)
+        return surface.plane_before(cubic.value(t))[0]
+
+    def finer(_, found):
+        middle, width, _, _ = found
+        places = jnp.clip(middle + width * np.linspace(-1.0, 1.0, FINER + 1), 0.0, intervals)
+        distances = jax.vmap(off)(places)
+        return places[jnp.argmin(distances)], 2 * width / FINER, places, distances
+
+    first, unknown = jnp.argmin(distances_of(surface, line.position)).astype(float), jnp.zeros(FINER + 1)
+    # A loop, because users wait for what is compiled.
+    _, width, places, distances = jax.lax.fori_loop(0, ROUNDS, finer, (first, jnp.ones(()), unknown, unknown))
+    # A parabola through the least distance and its neighbours.
+    k = jnp.clip(jnp.argmin(distances), 1, FINER - 1)
+    before, here, after = distances[k - 1], distances[k], distances[k + 1]
+    bend = before - 2 * here + after
+    shift = jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0)
+    place = jnp.clip(places[k] + jnp.clip(shift, -1.0, 1.0) * width, 0.0, intervals)
+    return jnp.where(off(place) <= jnp.min(distances), place, places[jnp.argmin(distances)])
 
 
 def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, rolls: bool) -> Nearest:
@@ -54,36 +95,10 @@ def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, 
 
     `rolls` tells whether the roll of its contact is an unknown.
     """
-    spacing = length / INTERVALS
-
-    def at(place):  # in intervals from the base
-        k = jnp.clip(jnp.floor(place).astype(int), 0, INTERVALS - 1)
-        t = place - k
-        ends = outline.position[k], outline.position[k + 1]
-        slopes = (spacing * outline.rotation[j, :, 2] for j in (k, k + 1))
-        return Cubic(*ends, *slopes), t
-
-    def off(place):
-        cubic, t = at(place)
-        return surface.plane_before(cubic.value(t))[0]
-
-    def finer(_, found):
-        middle, width, _, _ = found
-        places = jnp.clip(middle + width * np.linspace(-1.0, 1.0, FINER + 1), 0.0, INTERVALS)
-        distances = jax.vmap(off)(places)
-        return places[jnp.argmin(distances)], 2 * width / FINER, places, distances
-
-    middle, unknown = jnp.argmin(distances_of(surface, outline)).astype(float), jnp.zeros(FINER + 1)
-    # A loop, because users wait for what is compiled.
-    _, width, places, distances = jax.lax.fori_loop(0, ROUNDS, finer, (middle, jnp.ones(()), unknown, unknown))
-    # A parabola through the least distance and its neighbours.
-    k = jnp.clip(jnp.argmin(distances), 1, FINER - 1)
-    before, here, after = distances[k - 1], distances[k], distances[k + 1]
-    bend = before - 2 * here + after
-    shift = jnp.where(bend > 0, (before - after) / (2 * jnp.where(bend > 0, bend, 1.0)), 0.0)
-    place = jnp.clip(places[k] + jnp.clip(shift, -1.0, 1.0) * width, 0.0, INTERVALS)
-    place = jnp.where(off(place) <= jnp.min(distances), place, places[jnp.argmin(distances)])
-    cubic, t = at(place)
+    spacing = jnp.asarray(length) / INTERVALS
+    line = Line(outline.position, outline.rotation[:, :, 2], spacing)
+    place = nearest_place(surface, line)
+    cubic, t = line.interval(place)
     point, tangent = cubic.value(t), cubic.rate(t)
     tangent = tangent / jnp.sqrt(jnp.sum(tangent**2))
     tip = place >= INTERVALS - TIP

@@ -82,11 +82,10 @@ class SpaceProblem(eqx.Module):
 
     @property
     def may_touch_twice(self) -> bool:
-        """Whether a whisker may meet the object in a second place: one that is curved, or held by friction."""
+        """Whether whiskers may touch in a second place: if they are curved, held by friction, or before two objects."""
         every = self.section if isinstance(self.section, tuple) else (self.section,)
-        return self.friction is not None or any(
-            isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every
-        )
+        curved = any(isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every)
+        return curved or self.friction is not None or len(self.surface.objects) > 1
 
     @property
     def rows(self) -> int:

@@ -1,89 +1,52 @@
-"""Shape of whiskers in contact and in a state of a scan, and whether they meet the object in a second place.
-
-Without friction, a straight round whisker bends in a plane, away from the object, and touches a strictly convex object
-once. One that is curved, or held by friction, may touch it twice, which is not modelled: a scan ends there.
-"""
+"""Shape of whiskers in contact and in a state of a scan, and how they are bent there."""
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Int
 
 from jaxwhisker._base.quaternions import Vector, inverse_rotation, turned
-from jaxwhisker._base.rotation import quaternion_of
+from jaxwhisker._base.rotation import matrix_of, quaternion_of
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._path.path import Path, Status
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
 from jaxwhisker._rod.walk import in_order
 from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
-from jaxwhisker._space.newton import Phases
-from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
+from jaxwhisker._space.free import Line
+from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.section import space_section
 
 LOADED, UNLOADED = 16, 8  # intervals between base and contact, and between contact and tip
-DEPTH = 1e-6  # lengths: shafts that are deeper inside the object touch it in a second place
-BATCH = 32  # nodes of a path searched at once
 
 
-def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> Float[Array, "points 3"]:
-    """Points of a whisker in contact, in the scene: from the contact to the base, and from there to the tip."""
+def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> Line:
+    """A whisker in contact, in the scene; its contact is point number `LOADED`."""
     traction = None if problem.friction is None else Traction(problem.friction, jnp.asarray(False))
     frame, force, chi, roll, arc = loaded(body, problem.surface, z, phase, traction)
     section, zero = body.section, jnp.zeros_like(arc)
 
     def along(length, force, intervals):
+        """Positions and tangents, relative to the contact and in its frame, from there on."""
         at = jnp.linspace(0.0, 1.0, intervals + 1)
         if isinstance(section, SpaceSection):
             start = (zero, zero, zero), contact_rotation(chi, roll)
-            r, _ = points(start, length, SpaceLoad((zero, zero, force)), section, at=at, from_base=arc)
-            return jnp.stack(r, axis=-1)
+            r, q = points(start, length, SpaceLoad((zero, zero, force)), section, at=at, from_base=arc)
+            return jnp.stack(r, axis=-1), jax.vmap(matrix_of)(jnp.stack(q, axis=-1))[..., 2]
         start = zero, zero, jnp.cos(chi), jnp.sin(chi)
         material = body.bending_stiffness if section is None else section
-        x, y, _, _ = rod.points(start, length, rod.Load(None, -force, None), material, at=at, from_base=arc)
-        return jnp.stack([x, jnp.zeros_like(x), -y], axis=-1)
+        x, y, c, s = rod.points(start, length, rod.Load(None, -force, None), material, at=at, from_base=arc)
+        return jnp.stack([x, jnp.zeros_like(x), -y], axis=-1), jnp.stack([c, jnp.zeros_like(c), -s], axis=-1)
 
-    both = jnp.concatenate([along(arc, force, LOADED), along(arc - body.length, zero, UNLOADED)[1:]])
-    return z[POINT] + jnp.sum(frame * both[:, None, :], axis=-1)
-
-
-def touches_twice(problem: SpaceProblem, z: Contacts, phase: Phases) -> Bool[Array, ""]:
-    """Whether any whisker in contact is inside the object elsewhere."""
-    if not problem.may_touch_twice:
-        return jnp.asarray(False)
-
-    def deepest(body, z, phase):
-        return jnp.max(-jax.vmap(problem.surface.off)(shape(problem, body, z, phase)))
-
-    return jnp.any((of_each(problem, deepest, z, phase) > DEPTH) & (phase != Phase.free))
-
-
-def until_second_contact(problem: SpaceProblem, path: Path) -> Path:
-    """The path to the last node before a whisker meets the object in a second place."""
-    if not problem.may_touch_twice:
-        return path
-    nodes = path.nodes
-    exists = jnp.arange(nodes.kind.size) < path.count
-    phase = jnp.where(exists[:, None], nodes.state.phase, int(Phase.free))
-
-    def touch_twice(some):
-        z, phase = some
-        search = jax.vmap(lambda z, phase: touches_twice(problem, z, phase))
-        found = jnp.zeros(BATCH, dtype=bool)
-        return jax.lax.cond(jnp.any(phase != Phase.free), lambda: search(z, phase), lambda: found)
-
-    batches = (leaf.reshape(-1, BATCH, *leaf.shape[1:]) for leaf in (nodes.point.z, phase))
-    twice = jnp.ravel(jax.lax.map(touch_twice, tuple(batches)))
-    some, first = jnp.any(twice), jnp.argmax(twice)
-    return path._replace(
-        count=jnp.where(some, first, path.count),
-        status=jnp.where(some, int(Status.second_contact), path.status),
-    )
+    parts = zip(along(arc, force, LOADED), along(arc - body.length, zero, UNLOADED), strict=True)
+    position, tangent = (jnp.concatenate([inner[::-1], outer[1:]]) for inner, outer in parts)
+    position, tangent = (jnp.sum(frame * both[:, None, :], axis=-1) for both in (position, tangent))
+    spacing = jnp.repeat(jnp.stack([arc / LOADED, (body.length - arc) / UNLOADED]), np.array([LOADED, UNLOADED]))
+    return Line(z[POINT] + position, tangent, spacing)
 
 
 def centre_line(whisker: Whisker, count: int, at: Any) -> tuple[Array, ...]:

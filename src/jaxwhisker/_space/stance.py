@@ -95,7 +95,8 @@ def clearance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
 
     def of_whisker(body, placement, outline):
         # No place is farther from these points than half of the interval between them.
-        return jnp.min(distances_of(problem.surface, in_scene(outline, placement))) - body.length / (2 * INTERVALS)
+        distances = distances_of(problem.surface, in_scene(outline, placement).position)
+        return jnp.min(distances) - body.length / (2 * INTERVALS)
 
     return jnp.min(of_each(problem, of_whisker, bases_at_rest(problem, u), problem.outline))
 
@@ -110,9 +111,9 @@ def distance(problem: SpaceProblem, u: Scalar) -> Float[Array, ""]:
 
 
 def leaves(problem: SpaceProblem, u: Scalar, way: Scalar) -> Bool[Array, ""]:
-    """Whether every point of the unloaded whiskers moves away from the object if the drive moves along a line.
+    """Whether every point of the unloaded whiskers moves away from all objects if the drive moves along a line.
 
-    A plane between a point and the object from which the point moves away, or along which it moves, shows that it will
+    A plane between a point and an object from which the point moves away, or along which it moves, shows that it will
     not meet the object. `way` is the sign of the control's change.
     """
 
@@ -124,7 +125,8 @@ def leaves(problem: SpaceProblem, u: Scalar, way: Scalar) -> Bool[Array, ""]:
     def slowest(body, placement, rate, outline):
         del body
         position, velocity = in_scene(outline, placement).position, rate.position
-        return jnp.min(jnp.sum(jax.vmap(problem.surface.plane_before)(position)[1] * velocity, axis=-1))
+        normals = problem.surface.of_each(lambda one: jax.vmap(one.plane_before)(position)[1])
+        return jnp.min(jnp.sum(normals * velocity, axis=-1))
 
     return jnp.all(of_each(problem, slowest, placed, rate, problem.outline) > -STILL)
 

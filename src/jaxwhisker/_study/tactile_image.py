@@ -104,7 +104,10 @@ def _heights(problem: SpaceProblem, control: Float[Array, " steps"]) -> Float[Ar
     """Height of the lowest point of the object straight above each unloaded base, a length of the scene."""
 
     def at(u):
-        return jax.vmap(partial(_lowest, problem.surface))(bases_at_rest(problem, u).position)
+        def lowest(base: Point) -> Float[Array, ""]:
+            return jnp.nanmin(problem.surface.of_each(lambda one: _lowest(one, base)))
+
+        return jax.vmap(lowest)(bases_at_rest(problem, u).position)
 
     heights = jax.vmap(at)(control / problem.unit.control)
     return jnp.where(problem.valid, problem.unit.length * heights, jnp.nan)

@@ -1,4 +1,4 @@
-"""The object of a scene in space as figures draw it: a convex polyhedron with its vertices on the surface.
+"""The objects of a scene in space as figures draw them: convex polyhedra with their vertices on the surfaces.
 
 Vertices are where rays from inside meet the surface. An object that goes on beyond a box around the whiskers is cut off
 there. Lengths are in L of the first whisker.
@@ -30,27 +30,38 @@ Point = Float[np.ndarray, "3"]
 
 
 class Body(NamedTuple):
-    """A convex polyhedron."""
+    """Convex polyhedra: one for every object."""
 
     points: Points
     faces: Int[np.ndarray, "faces 3"]  # indices of points
     normals: Float[np.ndarray, "faces 3"]  # outward, of the flat faces
-    offsets: Float[np.ndarray, " faces"]  # x.normal + offset is positive outside the body without a thin layer
+    offsets: Float[np.ndarray, " faces"]  # x.normal + offset is positive outside the polyhedron without a thin layer
     smooth: Float[np.ndarray, "faces 3"]  # outward normals of the surface itself
     cut: Bool[np.ndarray, " faces"]  # where the object goes on
     edges: Int[np.ndarray, "edges 2"]  # indices of points
     beside: Int[np.ndarray, "edges 2"]  # indices of the faces on both sides of an edge
     sharp: Bool[np.ndarray, " edges"]  # edges of cuts
+    part: Int[np.ndarray, " faces"]  # number of the polyhedron, from 0
+
+    @property
+    def parts(self) -> range:
+        """The numbers of the polyhedra."""
+        return range(int(self.part[-1]) + 1)
 
     def hides(self, points: Points, towards: Point) -> Bool[np.ndarray, " points"]:
-        """Whether the object lies between points and a distant eye in the direction `towards`."""
-        rate = self.normals @ towards
+        """Whether an object lies between points and a distant eye in the direction `towards`."""
+        return np.any([self._part_hides(part, points, towards) for part in self.parts], axis=0)
+
+    def _part_hides(self, part: int, points: Points, towards: Point) -> Bool[np.ndarray, " points"]:
+        own = self.part == part
+        normals, offsets = self.normals[own], self.offsets[own]
+        rate = normals @ towards
         front, back, beside = rate > PARALLEL, rate < -PARALLEL, np.abs(rate) <= PARALLEL
 
         def meets(faces: np.ndarray) -> np.ndarray:  # distance of each face along the line of sight
-            return -(points @ (self.normals[faces] / rate[faces, None]).T + self.offsets[faces] / rate[faces])
+            return -(points @ (normals[faces] / rate[faces, None]).T + offsets[faces] / rate[faces])
 
-        passes = (points @ self.normals[beside].T + self.offsets[beside] > 0).any(axis=1)
+        passes = (points @ normals[beside].T + offsets[beside] > 0).any(axis=1)
         return ~passes & (np.maximum(meets(back).max(axis=1), 0.0) < meets(front).min(axis=1))
 
     def scaled(self, factor: float) -> "Body":
@@ -58,19 +69,42 @@ class Body(NamedTuple):
         return self._replace(points=factor * self.points, offsets=factor * self.offsets)
 
     def outline(self, towards: Point) -> Int[np.ndarray, "edges 2"]:
-        """Edges of the silhouette for a distant eye, and those of cuts that it sees."""
+        """Edges of the silhouettes for a distant eye, and those of cuts that it sees."""
         seen = (self.normals @ towards > 0)[self.beside]
-        return self.edges[(seen[:, 0] != seen[:, 1]) | (self.sharp & seen.any(axis=1))]
+        shown = (seen[:, 0] != seen[:, 1]) | (self.sharp & seen.any(axis=1))
+        edges, own = self.edges[shown], self.part[self.beside[shown, 0]]
+        if len(self.parts) == 1:
+            return edges
+        middles = self.points[edges].mean(axis=1)
+        hidden = [(own != part) & self._part_hides(part, middles, towards) for part in self.parts]
+        return edges[~np.any(hidden, axis=0)]
 
 
 def body_of(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
-    """The part of an object near a box that holds the whiskers; None if the object is too far away.
+    """The parts of all objects near a box that holds the whiskers; None if all are too far away.
 
     Args:
         surface: the object.
         low: least x, y and z of the box.
         high: largest x, y and z.
     """
+    return _joined([near for one in surface.objects if (near := _near(one, low, high)) is not None])
+
+
+def _joined(each: list[Body]) -> Body | None:
+    """Polyhedra as one body; None without any."""
+    if len(each) < 2:
+        return each[0] if each else None
+    shifted, points, faces = [], 0, 0
+    for part, body in enumerate(each):
+        own = {"faces": body.faces + points, "edges": body.edges + points, "beside": body.beside + faces}
+        shifted.append(body._replace(**own, part=body.part + part))
+        points, faces = points + len(body.points), faces + len(body.faces)
+    return Body(*(np.concatenate(leaves) for leaves in zip(*shifted, strict=True)))
+
+
+def _near(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
+    """The part of an object near a box; None if it is too far away."""
     box = np.stack([low - WHOLE, high + WHOLE])
     points = _spread(surface, box)
     if points is None:
@@ -181,7 +215,8 @@ def _polyhedron(surface: AbstractSurface, box: Float[np.ndarray, "2 3"], spread:
     edges = np.stack([hull.simplices[face, (opposite + 1) % 3], hull.simplices[face, (opposite + 2) % 3]], axis=1)
     beside = np.stack([face, hull.neighbors[face, opposite]], axis=1)
     sharp = cut[beside].any(axis=1) & (np.sum(normals[beside[:, 0]] * normals[beside[:, 1]], axis=1) < SHARP)
-    return Body(cloud, hull.simplices, normals, hull.equations[:, 3] + SUNK, smooth, cut, edges, beside, sharp)
+    offsets, part = hull.equations[:, 3] + SUNK, np.zeros(len(corners), dtype=int)
+    return Body(cloud, hull.simplices, normals, offsets, smooth, cut, edges, beside, sharp, part)
 
 
 def _around(surface: AbstractSurface, middle: Point, axis: int, box: Float[np.ndarray, "2 3"]) -> Points:

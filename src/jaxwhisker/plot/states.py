@@ -14,6 +14,7 @@ from jaxwhisker._model.profile import AbstractProfile
 from jaxwhisker._model.scene import Scene, moves_along_x, objects_of
 from jaxwhisker._model.silhouette import behind, silhouette_of
 from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._model.surfaces import as_one_surface
 from jaxwhisker._scan.array import Array as WhiskerArray
 from jaxwhisker._scan.deflect import Deflection
 from jaxwhisker._scan.quantities import Unit, UnitSystem, kind_of
@@ -85,7 +86,8 @@ def scene(
         from jaxwhisker.plot.space import draw_array
 
         if surface is not None:
-            checks.instance("surface", surface, AbstractSurface, "a surface, such as a Sphere")
+            surface = as_one_surface(surface)
+            checks.instance("surface", surface, AbstractSurface, "a surface, such as a Sphere, or a tuple of surfaces")
         return draw_array(setup, surface, units, view, ax)
     checks.instance("setup", setup, AbstractScene, "a Scene or an Array")
     if surface is not None:

@@ -146,13 +146,16 @@ class Flat:
         self.ax.text(float(x), float(y), text, ha="center", va="center", **style)
 
     def body(self, body: Body) -> None:
-        """The object."""
+        """The objects, those that are nearer in front."""
         from scipy.spatial import ConvexHull
 
-        flat = body.points[:, self.shown]
-        around = flat[ConvexHull(flat).vertices]
-        self.ax.fill(*around.T, color=OBJECT, linewidth=0, zorder=0)
-        self.ax.plot(*np.concatenate([around, around[:1]]).T, color=SUPPORT, linewidth=1, zorder=0.5)
+        each = [body.points[np.unique(body.faces[body.part == part])] for part in body.parts]
+        for k, points in enumerate(sorted(each, key=lambda points: float(np.max(points @ self.towards)))):
+            flat = points[:, self.shown]
+            around = flat[ConvexHull(flat).vertices]
+            order = 0.5 * k / len(each)
+            self.ax.fill(*around.T, color=OBJECT, linewidth=0, zorder=order)
+            self.ax.plot(*np.concatenate([around, around[:1]]).T, color=SUPPORT, linewidth=1, zorder=order + 0.01)
 
     def window(self, low: Point, high: Point, labels: Sequence[str]) -> None:
         """Limits and labels of the axes."""
