@@ -46,11 +46,14 @@ def draw_signals() -> None:
 
 def draw_row() -> None:
     """A whisker past three objects, and its signals."""
-    rod, peg = jw.Cylinder(0.2, (0.0, 0.8, 0.0), (0.0, 0.3, 1.0)), jw.Capsule(0.02, (-0.3, 0.5, 0.1), (-0.3, 1.5, 0.4))
+    rod, peg = jw.Cylinder(0.2, (0.0, 0.8, 0.0), (0.0, 0.3, 1.0)), jw.Capsule(0.02, (-0.3, 0.65, -0.4), (-0.3, 1.1, 1.1))
     result = jw.scan(jw.SpaceScene(jw.Whisker(), (rod, peg, jw.Sphere(0.25, (-1.7, 0.9, 0.1)))))
-    figure = pyplot.figure(figsize=(8, 3.4), layout="constrained")
-    jw.plot.shapes(result, [-0.1, -0.42, -0.46, -0.9, -1.6, -1.78], ax=figure.add_subplot(121, projection="3d"))
-    signal = figure.add_subplot(122)
+    figure = pyplot.figure(figsize=(9, 3.6), layout="constrained")
+    places = figure.add_gridspec(1, 2, width_ratios=(3, 2))
+    camera = figure.add_subplot(places[0], projection="3d")
+    jw.plot.shapes(result, [0.0, -0.4, -0.5, -0.7, -1.6, -1.85], view=(20, -150), ax=camera)
+    camera.tick_params(labelsize="x-small")
+    signal = figure.add_subplot(places[1])
     for name, colour in zip(("fx", "fy", "fz"), COLOURS, strict=False):
         signal.plot(np.asarray(result.control), np.asarray(getattr(result, name))[:, 0], color=colour, label=name)
     signal.set(xlabel="drive position $u/L$", ylabel="force / (EI/L²)")
@@ -120,5 +123,6 @@ if __name__ == "__main__":
     draw_signals()
     draw_instability()
     draw_pictures()
+    draw_row()
     draw_image()
     draw_overview()
