@@ -18,6 +18,7 @@ import hashlib
 import os
 import pickle
 import platform
+import secrets
 import stat
 import sys
 import tempfile
@@ -51,7 +52,8 @@ SUFFIX = ".program"
 UNFINISHED = SUFFIX + ".part"
 # Settings of jax that change the program of a function.
 SETTINGS = ("jax_enable_x64", "jax_numpy_dtype_promotion", "jax_default_matmul_precision", "jax_debug_nans")
-AGAIN = {"xla_llvm_disable_expensive_passes": False}  # the default, but given, it changes the key in jax's own cache
+# Number of lines in a report that XLA does not write: it changes nothing but the key in jax's own cache.
+LINES = "xla_debug_buffer_assignment_show_max"
 
 
 def folder() -> Path | None:
@@ -263,8 +265,8 @@ def compiled(lowered: jax.stages.Lowered, options: dict[str, Any]) -> tuple[jax.
     with _complete() as is_complete:
         program = lowered.compile(options)
     if not is_complete():
-        with _complete() as is_complete:
-            program = lowered.compile(options | AGAIN)
+        with _complete() as is_complete:  # under a key that no process has used before
+            program = lowered.compile(options | {LINES: 1 + secrets.randbelow(2**62)})
     return program, code(program) if is_complete() else None
 
 
