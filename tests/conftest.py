@@ -174,7 +174,7 @@ def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     path = config.getoption("times")
     if path is None:
         return
-    reports = [one for every in terminalreporter.stats.values() for one in every if hasattr(one, "user_properties")]
+    reports = [one for every in terminalreporter.stats.values() for one in every if hasattr(one, "when")]
     times = {one.nodeid: dict(one.user_properties)["processor time"] for one in reports if one.when == "teardown"}
     with Path(path).open("a", encoding="utf-8") as file:
         file.writelines(json.dumps([name, seconds]) + "\n" for name, seconds in times.items())

@@ -82,19 +82,25 @@ def there_and_back(vector):
     return rotation_vector(rotation_matrix(vector))
 
 
+# One program for all vectors.
+JACOBIANS = [jax.jit(jacobian(there_and_back)) for jacobian in (jax.jacfwd, jax.jacrev)]
+HESSIANS = [jax.jit(jax.jacfwd(jacobian)) for jacobian in JACOBIANS]
+
+
 @pytest.mark.parametrize("vector", VECTORS[:-1])
 def test_first_and_second_derivatives_of_a_vector_through_its_matrix_and_back(vector):
     # The identity: its Jacobian is the unit matrix, and its second derivatives vanish.
     vector = jnp.asarray(vector)
-    for jacobian in (jax.jacfwd, jax.jacrev):
-        np.testing.assert_allclose(jax.jit(jacobian(there_and_back))(vector), np.eye(3), atol=LOGARITHM)
-        np.testing.assert_allclose(jax.jit(jax.jacfwd(jacobian(there_and_back)))(vector), 0.0, atol=1e-10)
+    for jacobian, hessian in zip(JACOBIANS, HESSIANS, strict=True):
+        np.testing.assert_allclose(jacobian(vector), np.eye(3), atol=LOGARITHM)
+        np.testing.assert_allclose(hessian(vector), 0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize("function", (rotation_matrix, left_jacobian, lambda v: quaternion_of(rotation_matrix(v))))
 def test_derivatives_in_both_modes(function):
+    compiled = jax.jit(function)
     for vector in (VECTORS[0], VECTORS[3], VECTORS[8]):
-        check_grads(jax.jit(function), (jnp.asarray(vector),), order=2, modes=("fwd", "rev"))
+        check_grads(compiled, (jnp.asarray(vector),), order=2, modes=("fwd", "rev"))
 
 
 def test_second_derivatives_at_zero():

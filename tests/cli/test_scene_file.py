@@ -36,6 +36,19 @@ steps = 21
 units = "SI"
 """
 
+# A straight whisker on a drive towards -x, past a ball beside its path.
+BALL = """
+friction = 0.3
+[whisker]
+[[objects]]
+kind = "sphere"
+radius = 1.0
+centre = [0.0, 1.3, -0.5]
+[scan]
+start = 1.0
+stop = -1.0
+"""
+
 
 def parsed(*argv) -> argparse.Namespace:
     return cli._parser().parse_args(argv)
@@ -60,9 +73,12 @@ def test_the_scan_is_that_of_the_file(small, tmp_path, capsys):
     assert np.max(data["mz_1"]) > 0
 
 
-def test_the_example_in_space_is_scanned(tmp_path, capsys):
-    csv, plot = tmp_path / "scan.csv", tmp_path / "scan.png"
-    argv = ["scan", VIBRISSA, "--csv", str(csv), "--plot", str(plot), "--step", "0.001"]
+@pytest.mark.parametrize(("scene", "step"), [("ball", "0.02"), ("vibrissa", "0.001")])
+def test_scenes_in_space_are_scanned(scene, step, tmp_path, capsys):
+    file, csv, plot = tmp_path / "ball.toml", tmp_path / "scan.csv", tmp_path / "scan.png"
+    file.write_text(BALL, "utf-8")
+    argv = ["scan", VIBRISSA if scene == "vibrissa" else str(file), "--csv", str(csv), "--plot", str(plot)]
+    argv += ["--step", step]
     assert cli.main(argv) == cli.OK
     lines = capsys.readouterr().out.splitlines()
     words = next(line for line in lines if line.startswith("control")).split()

@@ -47,7 +47,8 @@ def results():
     made += [model([0.0], 0.4, model.contact([0.0], np.array([0.75, 0.4])))]
     made += [jw.deflect(jw.Whisker(), jw.SpaceForce(0.3, 0.0, 0.2))]
     loaded = {"control": [0.0], "fx": [0.1], "fy": [0.2], "mz": [0.1]}
-    made += [jw.reconstruct(loaded, jw.Sensor(jw.Whisker()), contacts=2, objects=jw.Circle(0.5, 0.2))]
+    circles = jw.Circle(0.5, 0.2), jw.Circle(0.25, 0.12, position=-0.55)
+    made += [jw.reconstruct(loaded, jw.Sensor(jw.Whisker()), contacts=2, objects=circles)]
     made += [jw.study(fb, control=control, c=[50.0, 60.0], q=[0.27]), result.events[0], fit.profile("c", points=3)]
     return {type(one).__name__: one for one in made}
 

@@ -299,14 +299,14 @@ def test_signals_of_no_state_fail(straight):
 
 
 @pytest.mark.unchecked
-def test_wrong_arguments(straight, hair):
+def test_wrong_arguments(straight):
     signals, scene = six(straight), straight.scene
     with pytest.raises(ValueError, match=r"`measured` must hold fx, fy, fz, mx, my and mz.*got fx, fy, fz"):
         reconstruct({n: signals[n] for n in ("control", "fx", "fy", "fz")}, scene)
     with pytest.raises(ValueError, match="`measured` must hold f1 and f2 for whiskers of constant stiffness"):
         reconstruct(own(straight, ("f3", "m1", "m2")), scene)
     with pytest.raises(ValueError, match=r"`measured` must hold all components of the force.*friction"):
-        reconstruct(own(hair, ("f3", "m1", "m2")), jw.Scene(HAIR, BALL, friction=0.3))
+        reconstruct(own(straight, ("f3", "m1", "m2")), jw.Scene(HAIR, BALL, friction=0.3))
     with pytest.raises(ValueError, match="`measured` must be channels in one frame"):
         reconstruct(signals | own(straight), scene)
     with pytest.raises(ValueError, match="`sigma` must be a symmetric positive definite covariance"):

@@ -113,11 +113,16 @@ def test_the_curvature_along_a_capsule_rises_steadily_over_the_strip():
 
 @each_body
 def test_normals_and_curvatures_are_the_derivatives_of_the_level(body):
-    for x in map(jnp.asarray, on_surface(body, spread(20)) + 0.01):
+    @jax.jit
+    @jax.vmap
+    def both(x):
         gradient, hessian = jax.grad(body.level)(x), jax.hessian(body.level)(x)
         size = jnp.linalg.norm(gradient)
-        np.testing.assert_allclose(body.normal(x), gradient / size, atol=EXACT)
-        np.testing.assert_allclose(body.curvature(x), hessian / size, atol=1e-11)
+        return (body.normal(x), gradient / size), (body.curvature(x), hessian / size)
+
+    normals, curvatures = both(jnp.asarray(on_surface(body, spread(20)) + 0.01))
+    np.testing.assert_allclose(*normals, atol=EXACT)
+    np.testing.assert_allclose(*curvatures, atol=1e-11)
 
 
 @each_body
