@@ -3,6 +3,7 @@
 # pyright: reportArgumentType=false, reportOptionalSubscript=false
 
 import json
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -67,21 +68,30 @@ CYCLES = {
 }
 
 
+@cache
+def cycled(name):
+    radius, centre, mu, direction, z, _ = CYCLES[name]
+    motion = jw.LinearDrive(direction, (0, 0, z))
+    scene = jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, centre), motion=motion, friction=mu)
+    return jw.scan(scene, np.linspace(-1.2, 1.4, 131))
+
+
 @pytest.mark.parametrize("name", CYCLES)
 def test_contacts_that_stick_and_slip_in_turn_are_released(name):
-    radius, centre, mu, direction, z, least = CYCLES[name]
-    motion = jw.LinearDrive(direction, (0, 0, z))
-    result = jw.scan(
-        jw.SpaceScene(jw.Whisker(), jw.Sphere(radius, centre), motion=motion, friction=mu), np.linspace(-1.2, 1.4, 131)
-    )
+    result = cycled(name)
     assert np.all(result.status == jw.Status.ok)
     events = result.events
-    assert len(events) == int(events.count) >= least and not events.truncated
+    assert len(events) == int(events.count) >= CYCLES[name][-1] and not events.truncated
     assert events[0].kind == KINDS.touch and events[-1].kind in (KINDS.release, KINDS.snap_off)
     assert np.all(np.asarray(result.phase)[np.asarray(result.control) > events[-1].control] == jw.Phase.free)
-    # Below `vmap` there is room for the first half of the usual number of events, and for as many last ones.
-    both = jnp.linspace(-1.2, 1.4, 131) * jnp.ones((2, 1))
-    kept = jax.tree.map(lambda leaf: leaf[1], jax.vmap(lambda control: jw.scan(result.scene, control).events)(both))
+
+
+@pytest.mark.parametrize("name", CYCLES)
+def test_below_vmap_their_first_and_last_events_are_kept(name):
+    """There is room for the first half of the usual number of events, and for as many last ones."""
+    result = cycled(name)
+    events, lanes = result.events, jnp.linspace(-1.2, 1.4, 131)[None]
+    kept = jax.tree.map(lambda leaf: leaf[0], jax.vmap(lambda control: jw.scan(result.scene, control).events)(lanes))
     size = kept.kind.shape[0]
     assert kept.truncated and int(kept.count) > size and kept.kind[-1] == events[-1].kind
     np.testing.assert_allclose(kept.control[:9], np.asarray(events.control)[:9], atol=1e-7)
