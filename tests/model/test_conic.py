@@ -33,21 +33,31 @@ def test_points_satisfy_the_equation_and_slopes_are_those_of_the_curve(shape):
         np.testing.assert_allclose(curve(shape).speed(parameter), speed, rtol=NEAR_TOP)
 
 
+def derivatives(formula):
+    """Programs for derivatives of points of all shapes by everything but the shape itself, and by a factor of it."""
+
+    def point(numbers, shape):
+        distance, radius, factor, position, parameter = numbers
+        return jnp.stack(formula(conic(distance, radius, shape * factor, position), parameter))
+
+    first, second = (
+        (jax.jacfwd(point), jax.jacrev(point)),
+        (jax.jacfwd(jax.jacrev(point)), jax.jacrev(jax.jacfwd(point))),
+    )
+    return [jax.jit(derivative) for derivative in (*first, *second)]
+
+
+OURS, PLAIN = derivatives(Conic.point), derivatives(Conic._point)
+
+
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_derivatives_of_points_are_those_of_the_formulas(shape):
-    def derivatives(formula):
-        def point(numbers):
-            distance, radius, factor, position, parameter = numbers
-            return jnp.stack(formula(conic(distance, radius, shape * factor, position), parameter))
-
-        return jax.jacfwd(point), jax.jacrev(point), jax.jacfwd(jax.jacrev(point)), jax.jacrev(jax.jacfwd(point))
-
     for parameter in (-1.3, 0.0, 0.4, 1.7):
         numbers = jnp.asarray([HEIGHT, SIZE, 1.0, PLACE, parameter])
         at = curve(shape)
         assert all(a == b or np.isnan(a) for a, b in zip(at.point(parameter), at._point(parameter), strict=True))
-        for ours, plain in zip(derivatives(Conic.point), derivatives(Conic._point), strict=True):
-            np.testing.assert_allclose(ours(numbers), plain(numbers), rtol=NEAR_TOP, atol=NEAR_TOP)
+        for ours, plain in zip(OURS, PLAIN, strict=True):
+            np.testing.assert_allclose(ours(numbers, shape), plain(numbers, shape), rtol=NEAR_TOP, atol=NEAR_TOP)
 
 
 def test_classes_are_conics_with_their_own_numbers():
