@@ -46,7 +46,10 @@ def draw_signals() -> None:
 
 def draw_row() -> None:
     """A whisker past three objects, and its signals."""
-    rod, peg = jw.Cylinder(0.2, (0.0, 0.8, 0.0), (0.0, 0.3, 1.0)), jw.Capsule(0.02, (-0.3, 0.65, -0.4), (-0.3, 1.1, 1.1))
+    rod, peg = (
+        jw.Cylinder(0.2, (0.0, 0.8, 0.0), (0.0, 0.3, 1.0)),
+        jw.Capsule(0.02, (-0.3, 0.65, -0.4), (-0.3, 1.1, 1.1)),
+    )
     result = jw.scan(jw.SpaceScene(jw.Whisker(), (rod, peg, jw.Sphere(0.25, (-1.7, 0.9, 0.1)))))
     figure = pyplot.figure(figsize=(9, 3.6), layout="constrained")
     places = figure.add_gridspec(1, 2, width_ratios=(3, 2))

@@ -486,11 +486,13 @@ def test_a_plane_scene_has_no_views(shown):
 
 
 def test_the_page_sees_and_hides_what_figures_do(solid):
-    """Directions of cameras, and points beside, before and behind a ball, and on its back."""
+    """Directions of cameras, and points beside, before and behind two balls, and on their backs."""
     source = "\n".join(map(_asset, ("draw.js", "space.js")))
-    body = picture_in_space(past_ball(0.04, 0.01)).body
+    scene = past_ball(0.04, 0.01)
+    beside = jw.Sphere(0.01, (0.03, 0.02, 0.06))
+    body = picture_in_space(jw.SpaceScene(scene.whisker, (*scene.objects, beside), motion=scene.motion)).body
     assert body is not None
-    arrays = {name: getattr(body, name).ravel().tolist() for name in ("normals", "offsets")}
+    arrays = {name: getattr(body, name).ravel().tolist() for name in ("normals", "offsets", "part")}
     points = np.random.default_rng(0).uniform(-1.5, 2.5, (300, 3))
     script = (
         f"{source}; const [picture, points, angles] = arguments; const picture32 = {{}};"

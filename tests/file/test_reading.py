@@ -94,7 +94,12 @@ WRONG = {  # what is replaced, by what, the line, and words of the message
     "name in Python": ("[drive]", "[motion]", 36, ["`motion` is not a key of the scene"]),
     "friction": ("friction = 0.1", "friction = -0.1", 2, ["`friction`", "-0.1"]),
     "part of the scene": ("friction = 0.1", "detect = 3", 2, ["`detect`", "second_contact", "3"]),
-    "two surfaces": (f'"ellipse"\n{AXES}', '"paraboloid"\ndistance = 0.1', 24, ["`objects` must be one surface"]),
+    "a profile and a surface": (
+        f'"ellipse"\n{AXES}',
+        '"paraboloid"\ndistance = 0.1',
+        24,
+        ["`objects` must be a Sphere", "tuple of these"],
+    ),
     "drive": ("direction = -1", "direction = 2", 37, ["`direction`", "-1 or 1", "2"]),
     "part of a point": (
         "direction = -1", 'kind = "rotation"\npivot = [0, nan]', 38, ["`pivot[1]`", "nan", "rotation"]

@@ -226,5 +226,5 @@ def test_large_arrays_have_no_legend():
 def test_objects_belong_to_arrays():
     with pytest.raises(ValueError, match="`surface` must be None for a Scene"):
         plot.scene(ARRAY.scene("front", BALL), surface=BALL)
-    with pytest.raises(ValueError, match="`surface` must be a surface, such as a Sphere, got"):
+    with pytest.raises(ValueError, match="`surface` must be a surface, such as a Sphere, or a tuple of surfaces, got"):
         plot.scene(ARRAY, surface=jw.Parabola(0.2))

@@ -13,7 +13,7 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._scan.channels import example_of
 from jaxwhisker._scan.quantities import QUANTITIES, STATE
-from jaxwhisker._scan.state import FRICTION_IN_SPACE, SpaceState, State
+from jaxwhisker._scan.state import FRICTION_IN_SPACE, OBJECTS, SpaceState, State
 from jaxwhisker._study.layout import field_of
 
 ROUNDING = 1e-12  # of a few operations on numbers of the order of 1
@@ -113,7 +113,7 @@ def test_the_header_of_a_file_names_the_units(on_springs, tmp_path):
 def test_a_dataset_is_that_of_a_study(on_springs):
     data = on_springs.to_xarray()
     studied = jw.study(sprung, control=CONTROL, outputs="all", z=[0.2]).isel(z=0, drop=True).drop_vars("point_status")
-    absent = {*(State.__dataclass_fields__.keys() - SPACE_FIELDS), *FRICTION_IN_SPACE}
+    absent = {*(State.__dataclass_fields__.keys() - SPACE_FIELDS), *FRICTION_IN_SPACE, *OBJECTS}
     absent = {name for name in QUANTITIES if field_of(name) in absent}
     energies = {"event_energy_before", "event_energy_after"}
     assert set(data.data_vars) == set(studied.data_vars) == QUANTITIES.keys() - absent - energies - {"control"}

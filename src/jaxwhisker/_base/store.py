@@ -266,7 +266,8 @@ def compiled(lowered: jax.stages.Lowered, options: dict[str, Any]) -> tuple[jax.
         program = lowered.compile(options)
     if not is_complete():
         with _complete() as is_complete:  # under a key that no process has used before
-            program = lowered.compile(options | {LINES: 1 + secrets.randbelow(2**62)})
+            again: dict[str, Any] = options | {LINES: 1 + secrets.randbelow(2**62)}
+            program = lowered.compile(again)
     return program, code(program) if is_complete() else None
 
 

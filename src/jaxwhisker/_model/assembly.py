@@ -33,6 +33,11 @@ class AbstractScene(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def objects(self) -> tuple[Any, ...]:
+        """The objects, in the order in which results number them."""
+
+    @property
+    @abc.abstractmethod
     def friction(self) -> Scalar | None:
         """The coefficient of friction between whiskers and object; None without friction."""
 

@@ -167,6 +167,11 @@ class Scene(AbstractScene, metaclass=_OfObject):
                 checks.fail(name, allowed, repr(value) if name == "detect" else str(value))
 
     @property
+    def objects(self) -> tuple[AbstractProfile, ...]:
+        """The objects, in the order in which results number them."""
+        return self.profile.objects
+
+    @property
     def detects(self) -> tuple[str, ...]:
         """The contacts that are not modelled, at which a scan ends."""
         return ("second_contact",) if self.detect is None else tuple(self.detect)
@@ -294,7 +299,7 @@ def time_unit(first: Whisker) -> Scalar:
 
 def objects_of(scene: Scene | Sensor) -> tuple[AbstractProfile, ...]:
     """The objects of a scene; none of a sensor."""
-    return scene.profile.objects if isinstance(scene, Scene) else ()
+    return scene.objects if isinstance(scene, Scene) else ()
 
 
 def moves_along_x(scene: Any) -> bool:

@@ -80,6 +80,11 @@ class SpaceScene(AbstractScene):
             )
 
     @property
+    def objects(self) -> tuple[AbstractSurface, ...]:
+        """The objects, in the order in which results number them."""
+        return self.surface.objects
+
+    @property
     def rolls(self) -> bool:
         """Whether whiskers are curved or twisted, or their bases may turn: torsion then plays a part."""
         curved = any(w.needs_space or w.intrinsic_curvature is not None for w in self.whiskers)

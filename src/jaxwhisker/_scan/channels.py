@@ -78,13 +78,14 @@ def example_of(scene: AbstractScene) -> AbstractResult:
     fields |= dict.fromkeys(FRICTION) if scene.friction is None else {"slip": zero.astype(int)}
     loads = scene.support.shaft_loads
     fields["shaft_loads"] = (zero,) * loads if loads else None
-    fields |= dict.fromkeys(OBJECTS, None if len(scene.profile.objects) == 1 else of_contacts.astype(int))
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.objects) == 1 else of_contacts.astype(int))
     return result_of(scene, State(**fields), None, jnp.zeros(EXAMPLE_STEPS))
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
     fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
     fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.objects) == 1 else zero.astype(int))
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
     displacement = jnp.zeros((*zero.shape, 6)) if scene.support.springs else None
     return result_of(scene, SpaceState(**fields), displacement, jnp.zeros(EXAMPLE_STEPS))

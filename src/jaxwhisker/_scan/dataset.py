@@ -141,9 +141,8 @@ def layout_of(scene: AbstractScene) -> SceneLayout:
     """The layout of a scene, traced or not."""
     springs = tuple("-".join(map(str, s.between)) + f" {s.axis}" * (s.axis != "x") for s in scene.support.springs)
     control = control_name(scene), control_kind(scene), scene.motion.onwards
-    absent = ABSENT_IN_SPACE + FRICTION_IN_SPACE * (scene.friction is None)
-    if isinstance(scene, Scene):
-        absent = FRICTION * (scene.friction is None) + OBJECTS * (len(scene.profile.objects) == 1) + IN_SPACE
+    friction, missing = (FRICTION_IN_SPACE, ABSENT_IN_SPACE) if scene.in_space else (FRICTION, IN_SPACE)
+    absent = friction * (scene.friction is None) + OBJECTS * (len(scene.objects) == 1) + missing
     dimensionless, sizes = is_dimensionless(scene), {}
     if not dimensionless and not is_traced(scene.whiskers[0]):
         natural = natural_units(scene)

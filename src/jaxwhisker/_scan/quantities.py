@@ -120,13 +120,13 @@ REACTIONS = ("fx", "fy", "mz")
 REACTIONS_IN_SPACE = ("fx", "fy", "fz", "mx", "my", "mz")
 ENERGIES = ("event_energy_before", "event_energy_after")
 # Quantities, also before and after events, that scenes in space do not have.
-ABSENT_IN_SPACE = ("base_angle", "contact_slope", "friction_force", *OBJECTS, *ENERGIES)
+ABSENT_IN_SPACE = ("base_angle", "contact_slope", "friction_force", *ENERGIES)
 # What figures compute from a run.
 DERIVED = {"spring_extension": Quantity("extension of the spring", r"\Delta\ell", "length", ("control", "spring"))}
 OF_SPRINGS = ("spring_length", "spring_extension")
 # Quantities that can be plotted against the control.
 DRAWN = (*(name for name in STATE if name not in ("phase", "slip", *OBJECTS, *IN_SPACE)), *OF_SPRINGS)
-_NOT_DRAWN_IN_SPACE = ("phase", "slip", "base_rotation", *ABSENT_IN_SPACE)
+_NOT_DRAWN_IN_SPACE = ("phase", "slip", "base_rotation", *OBJECTS, *ABSENT_IN_SPACE)
 DRAWN_IN_SPACE = (*(name for name in STATE if name not in _NOT_DRAWN_IN_SPACE), *OF_SPRINGS)
 
 

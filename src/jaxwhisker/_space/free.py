@@ -49,7 +49,7 @@ def distances_of(surface: AbstractSurface, position: Float[Array, "points 3"]) -
     return jax.vmap(surface.plane_before)(position)[0]
 
 
-class Line(NamedTuple):
+class CentreLine(NamedTuple):
     """The centre line of a whisker between points from base to tip."""
 
     position: Float[Array, "points 3"]
@@ -64,7 +64,7 @@ class Line(NamedTuple):
         return Cubic(*ends, *(spacing * self.tangent[j] for j in (k, k + 1))), place - k
 
 
-def nearest_place(surface: AbstractSurface, line: Line) -> Float[Array, ""]:
+def nearest_place(surface: AbstractSurface, line: CentreLine) -> Float[Array, ""]:
     """The place on a line, in intervals from the base, that is nearest to the object."""
     intervals = line.position.shape[0] - 1
 
@@ -96,7 +96,7 @@ def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, 
     `rolls` tells whether the roll of its contact is an unknown.
     """
     spacing = jnp.asarray(length) / INTERVALS
-    line = Line(outline.position, outline.rotation[:, :, 2], spacing)
+    line = CentreLine(outline.position, outline.rotation[:, :, 2], spacing)
     place = nearest_place(surface, line)
     cubic, t = line.interval(place)
     point, tangent = cubic.value(t), cubic.rate(t)

@@ -14,7 +14,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._space.contact import FORCE, POINT, Contact
-from jaxwhisker._space.free import INTERVALS, TIP, Line, contact_at, in_scene, nearest_place
+from jaxwhisker._space.free import INTERVALS, TIP, CentreLine, contact_at, in_scene, nearest_place
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
 from jaxwhisker._space.residuals import residuals
@@ -31,12 +31,12 @@ Side = tuple[Contacts, Phases]  # the contacts before or after a jump
 class _Way(NamedTuple):
     """The way of one whisker."""
 
-    before: Line
-    after: Line
+    before: CentreLine
+    after: CentreLine
     touched: Bool[Array, " objects"]  # before
     lands: Bool[Array, " objects"]  # whether it touches the object afterwards
 
-    def at(self, share: Scalar) -> Line:
+    def at(self, share: Scalar) -> CentreLine:
         """A shape on the way."""
         spacing = self.before.spacing
 
@@ -51,10 +51,10 @@ class _Way(NamedTuple):
         tangent = tangent / jnp.sqrt(jnp.sum(tangent**2, axis=1, keepdims=True))
         # What the sums miss is little, and vanishes at both ends of the way.
         missed = blend(*(line.position - integrated(line.tangent) for line in (self.before, self.after)))
-        return Line(integrated(tangent) + missed, tangent, spacing)
+        return CentreLine(integrated(tangent) + missed, tangent, spacing)
 
 
-def distances(surface: AbstractSurface, line: Line) -> Float[Array, " objects"]:
+def distances(surface: AbstractSurface, line: CentreLine) -> Float[Array, " objects"]:
     """Distances of a whisker from every object."""
 
     def distance(one: AbstractSurface) -> Scalar:
@@ -84,21 +84,21 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
         def depths(share: Scalar) -> Float[Array, " objects"]:
             return jnp.where(way.touched, -jnp.inf, -distances(surface, way.at(share)) - allowed)
 
-        def searching(state: _Search) -> Bool[Array, ""]:
+        def searching(state: _OnTheWay) -> Bool[Array, ""]:
             return jumps & (state.start < 1.0) & (state.stride > FINEST)
 
-        def search(state: _Search) -> _Search:
+        def search(state: _OnTheWay) -> _OnTheWay:
             places = state.start + state.stride * np.arange(1, SECTIONS + 1)
             deep = ~(jnp.max(jax.vmap(depths)(places), axis=1) <= 0.0)
             some, before_first = jnp.any(deep), state.start + state.stride * jnp.argmax(deep)
-            return _Search(
+            return _OnTheWay(
                 jnp.where(some, before_first, places[-1]),
                 jnp.where(some, state.stride / SECTIONS, state.stride),
                 state.found | some,
             )
 
         # A loop that does nothing without a jump, also among other scans.
-        found = jax.lax.while_loop(searching, search, _Search(jnp.zeros(()), jnp.asarray(STRIDE), jnp.asarray(False)))
+        found = jax.lax.while_loop(searching, search, _OnTheWay(jnp.zeros(()), jnp.asarray(STRIDE), jnp.asarray(False)))
         share = jnp.minimum(found.start + SECTIONS * found.stride, 1.0)
         line = way.at(share)
 
@@ -118,7 +118,7 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
     return jax.vmap(one)(_ways(problem, u, before, after), before[0], problem.outline.rotation[..., 0])
 
 
-class _Search(NamedTuple):
+class _OnTheWay(NamedTuple):
     """The search for the first meeting on the way."""
 
     start: Float[Array, ""]  # up to here, nothing is met
@@ -130,7 +130,7 @@ def _ways(problem: SpaceProblem, u: Scalar, before: Side, after: Side) -> _Way:
     """The ways of all whiskers, fields (whiskers, ...)."""
     numbers = jnp.arange(len(problem.surface.objects))
 
-    def of_side(side: Side) -> tuple[Line, Bool[Array, "whiskers objects"]]:
+    def of_side(side: Side) -> tuple[CentreLine, Bool[Array, "whiskers objects"]]:
         z, phase = side
         own = jax.vmap(problem.surface.object_of)(z[:, POINT])
         return _lines(problem, z, u, phase), (numbers == own[:, None]) & (phase != Phase.free)[:, None]
@@ -140,7 +140,7 @@ def _ways(problem: SpaceProblem, u: Scalar, before: Side, after: Side) -> _Way:
     return _Way(*sides, *touched)
 
 
-def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Line:
+def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> CentreLine:
     """All whiskers in the scene at equidistant points, fields (whiskers, ...)."""
     drive, pose = problem.drive(u), jnp.zeros((phase.size, 6))
     if problem.springs is not None:  # by which the loads of others move a base
@@ -162,7 +162,7 @@ def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Line
         position, rate = jax.vmap(at)(k + jnp.clip((arcs - ends[k]) / spacing, 0.0, 1.0))
         tangent = jnp.where(long[:, None], rate / spacing[:, None], bent.tangent[k])
         free = phase == Phase.free
-        return Line(
+        return CentreLine(
             jnp.where(free, placed.position, position),
             jnp.where(free, placed.rotation[..., 2], tangent),
             jnp.asarray(body.length) / INTERVALS,

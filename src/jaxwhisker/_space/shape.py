@@ -17,14 +17,14 @@ from jaxwhisker._rod.space import SpaceLoad, SpaceSection, points
 from jaxwhisker._rod.space_end import contact_rotation
 from jaxwhisker._rod.walk import in_order
 from jaxwhisker._space.contact import POINT, Contact, SpaceWhisker, Traction, loaded
-from jaxwhisker._space.free import Line
+from jaxwhisker._space.free import CentreLine
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.section import space_section
 
 LOADED, UNLOADED = 16, 8  # intervals between base and contact, and between contact and tip
 
 
-def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> Line:
+def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Array, ""]) -> CentreLine:
     """A whisker in contact, in the scene; its contact is point number `LOADED`."""
     traction = None if problem.friction is None else Traction(problem.friction, jnp.asarray(False))
     frame, force, chi, roll, arc = loaded(body, problem.surface, z, phase, traction)
@@ -46,7 +46,7 @@ def shape(problem: SpaceProblem, body: SpaceWhisker, z: Contact, phase: Int[Arra
     position, tangent = (jnp.concatenate([inner[::-1], outer[1:]]) for inner, outer in parts)
     position, tangent = (jnp.sum(frame * both[:, None, :], axis=-1) for both in (position, tangent))
     spacing = jnp.repeat(jnp.stack([arc / LOADED, (body.length - arc) / UNLOADED]), np.array([LOADED, UNLOADED]))
-    return Line(z[POINT] + position, tangent, spacing)
+    return CentreLine(z[POINT] + position, tangent, spacing)
 
 
 def centre_line(whisker: Whisker, count: int, at: Any) -> tuple[Array, ...]:
