@@ -100,16 +100,20 @@ def nearest(one: AbstractProfile, outline: ObjectOutline, x: Scalar, y: Scalar) 
         at = one.point(facing)
         start = jnp.where((at.x - x) ** 2 + (at.y - y) ** 2 < apart[closest], facing, start)
 
-    def step(_, p):
+    def step(_, within):
+        p, low, high = within
         at, rate = jax.jvp(one.point, (p,), (jnp.ones_like(p),))
         speed = rate.x * at.cos + rate.y * at.sin
         slope = -speed + (x - at.x) * rate.cos + (y - at.y) * rate.sin
-        # Far inside a hollow, or beyond a crest, this is not the nearest point.
-        slope = jnp.where(slope < -0.1 * speed, slope, -speed)
-        p = jnp.clip(p - at.along(x, y) / slope, start - spacing, start + spacing)
-        return jnp.clip(p, outline.parameters[0], outline.parameters[-1])
+        along = at.along(x, y)
+        low, high = jnp.where(along > 0, p, low), jnp.where(along > 0, high, p)
+        p = p - along / slope
+        # Far inside a hollow, or beyond a crest, Newton's method leads away from the nearest point.
+        return jnp.where((slope < 0) & (p >= low) & (p <= high), p, (low + high) / 2), low, high
 
-    return jax.lax.fori_loop(0, NEAREST_STEPS, step, start)
+    ends = outline.parameters[0], outline.parameters[-1]
+    within = start, *(jnp.clip(start + way, *ends) for way in (-spacing, spacing))
+    return jax.lax.fori_loop(0, NEAREST_STEPS, step, within)[0]
 
 
 def _of_smooth(

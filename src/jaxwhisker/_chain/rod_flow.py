@@ -205,19 +205,21 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         room = jnp.clip(apart / 2, STRIDE, LONGEST_STRIDE)
         share = jnp.max(moved / room)
         # Longer steps would also end at saddles.
-        good = (share < 1) & definite
+        good, stretch, time = (share < 1) & definite, rods.stretch, rods.time / 4
+        if stretch is not None:
+            held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
+            slid = jax.vmap(_slid)(touch, ends, there)
+            # What has turned back within the step has stuck in it: the step is repeated so.
+            turns = good & (touch.depth > 0) & (held != stretch) & (held * slid < 0)
+            good, time = good & ~jnp.any(turns), jnp.where(jnp.any(turns), rods.time, time)
+            stretch = jnp.where(turns, held, jnp.where(good & (touch.depth > 0), held + slid, stretch))
         growth = jnp.where(share < 1 / 8, 3.0, jnp.where(share < 1 / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
         rests = good & (jnp.max(moved) < REST) & (rods.time >= LONGEST_TIME / 4)
-        stretch = rods.stretch
-        if stretch is not None:
-            held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
-            moved = held + jax.vmap(_slid)(touch, ends, there)
-            stretch = jnp.where(good & (touch.depth > 0), moved, stretch)
         return CoarseRods(
             jnp.where(good, angle, rods.angle),
             jnp.where(good, springs, rods.springs),
-            jnp.where(good, longer, rods.time / 4),
+            jnp.where(good, longer, time),
             rods.steps + 1,
             rests,
             stretch,
