@@ -54,8 +54,15 @@ class Drawn(NamedTuple):
     control: np.ndarray
 
 
-def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS, *, friction: bool = False) -> Drawn:
-    """A random scene; with friction, the drive turns back for a while."""
+def drawn(
+    kind: str,
+    rng: np.random.Generator,
+    steps: int = STEPS,
+    *,
+    friction: tuple[float, float] | None = None,
+    turns: bool = True,
+) -> Drawn:
+    """A random scene; with friction between these coefficients, the drive turns back for a while, if it `turns`."""
     objects, count, whisker, support, contacts = KINDS[kind]
     rod, plain_rod = _rod(whisker, rng)
     profile, plain_objects = MAKERS[objects](objects, count, rng)
@@ -68,8 +75,8 @@ def drawn(kind: str, rng: np.random.Generator, steps: int = STEPS, *, friction: 
         "FBFB": lambda: jw.Support.fbfb(stiffness, rest),
     }[support]()
     control = np.linspace(1.7, -2.4 - rest * bases, steps)
-    mu = float(rng.uniform(0.1, 0.8)) if friction else None
-    if friction:
+    mu = float(rng.uniform(*friction)) if friction else None
+    if friction and turns:
         turn = int(steps * rng.uniform(0.35, 0.65))
         back = control[turn - steps // 6 : turn][::-1]
         control = np.concatenate([control[: turn + 1], back, control[turn - steps // 6 + 1 :]])

@@ -378,7 +378,11 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         changed, slip = changed_slips(problem, march, node.point, node.leaving, falls)
         changed &= ~march.slips
         retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
-        exhausted = changed & (tried > MOST_SLIPS**problem.rows), march.stopped(Status.undetermined)
+        # Where contacts can move on slowly in no way, they jump, from the state before they were changed.
+        before = march.pending
+        still = onwards.replace(state=before.before, point=before.point._replace(z=before.z_before))
+        still = still.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
+        exhausted = changed & (tried > MOST_SLIPS**problem.rows), self.to_snap(still)
         onwards = onwards.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
         return WaysOn([exhausted, (changed, retry), unsettled], onwards, (tried == 0) | ~changed)
 
