@@ -1,10 +1,12 @@
 """Soak test of several contacts: random scenes whose states are checked by laws that share no code with the package.
 
-python benchmarks/several_contacts.py [scenes] [seed]     default 42 and 0; ten minutes, most of them compilation
+python benchmarks/several_contacts.py [scenes] [seed] [part]     default 42, 0 and both parts, which are without and with
+                                                                 friction; twenty minutes, most of them compilation
 
 Scenes with two and three circles, two ellipses, parabolas with waves, one and two boxes, convex polygons, and roofs
 with an inner corner; straight, curved and conical whiskers; clamped, on FB and on FBFB. Checked are every fifth step,
-the states after all events, and that contacts begin and end at events.
+the states after all events, and that contacts begin and end at events. With friction, coefficients are between 0.1 and 0.5,
+the drive of every second scene turns back for a while, and contacts must not move against their slip.
 """
 
 import sys
@@ -23,14 +25,15 @@ from random_several import KINDS, checked, drawn
 
 jax.config.update("jax_enable_x64", True)
 
+PARTS = {"without": None, "friction": (0.1, 0.5)}  # limits of the coefficients
 TOLERANCE = 1e-7  # in L, EI/L^2 per total contact force, and rad: a hundred times the accuracy of states
 
 
-def soaked(number: int, kind: str, scenes: int, seed: int) -> dict:
+def soaked(number: int, kind: str, scenes: int, seed: int, friction: tuple[float, float] | None) -> dict:
     """Scan random scenes of one kind; return a row of the table."""
     statuses, worst, wrong, events, seconds = Counter(), {}, 0, 0, []
     for k in range(scenes):
-        one = drawn(kind, np.random.default_rng((seed, number, k)))
+        one = drawn(kind, np.random.default_rng((seed, number, k)), friction=friction, turns=k % 2 == 0)
         start = time.perf_counter()
         result = jax.block_until_ready(jw.scan(one.scene, one.control))
         events += len(result.events)
@@ -60,14 +63,15 @@ def soaked(number: int, kind: str, scenes: int, seed: int) -> dict:
     }
 
 
-def main(scenes: int = 42, seed: int = 0) -> None:
-    """Scan all kinds and store the table."""
-    rows = []
-    for number, kind in enumerate(KINDS):
-        rows.append(soaked(number, kind, -(-scenes // len(KINDS)), seed))
-        print(rows[-1], flush=True)
-    write("several_contacts", rows)
+def main(scenes: int = 42, seed: int = 0, *parts: str) -> None:
+    """Scan all kinds and store the tables."""
+    for part in parts or PARTS:
+        rows = []
+        for number, kind in enumerate(KINDS):
+            rows.append(soaked(number, kind, -(-scenes // len(KINDS)), seed, PARTS[part]))
+            print(rows[-1], flush=True)
+        write("several_contacts_friction" if PARTS[part] else "several_contacts", rows)
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]))
+    main(*map(int, sys.argv[1:3]), *sys.argv[3:])

@@ -347,7 +347,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             jnp.where(state_differs(march.state, before.before), jnp.inf, 0.0)
             + jnp.max(jnp.abs(trial.point.z - before.z_before) / scale_of(before.z_before))
         ) < SAME
-        stays, again, wedged = snapped & at_loss & same, march.flow.tries < TRIES, is_wedged(self.problem, march.state)
+        stays, again = snapped & at_loss & same, march.flow.tries < TRIES
+        wedged = is_wedged(self.problem, march.state, march.point.z)
         return Arrival(
             node,
             converged & trial.stance.opens & (~snapped | (at_loss & ~wrong & ~same)),
@@ -358,6 +359,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
                 (snapped & (~converged | wrong) | stays, flow_again(march)),
                 (snapped & ~at_loss, onwards),
                 (~converged & wedged, march.stopped(Status.undetermined)),
+                (~converged & (march.slips_tried > 0), self._jumps(march)),
                 (~converged, march.stopped(Status.lost)),
                 (~trial.stance.opens, march.stopped(Status.not_convex)),
             ],
@@ -365,6 +367,17 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def to_snap(self, march: MarchOfChain):
         return to_snap(march)
+
+    def _jumps(self, march: MarchOfChain) -> MarchOfChain:
+        """Where contacts can move on slowly in no way, they jump, from the state before their slips were changed."""
+        if march.state.friction is None:
+            return march
+        before, nobody = march.pending, jnp.zeros_like(march.rests)
+        point = before.point._replace(z=before.z_before)
+        still = march.replace(
+            state=before.before, point=point, slips_tried=jnp.zeros_like(march.slips_tried), rests=nobody
+        )
+        return self.to_snap(still)
 
     def after_flow(self, march: MarchOfChain, trial: TrialOfChain):
         del trial
@@ -378,11 +391,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         changed, slip = changed_slips(problem, march, node.point, node.leaving, falls)
         changed &= ~march.slips
         retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
-        # Where contacts can move on slowly in no way, they jump, from the state before they were changed.
-        before = march.pending
-        still = onwards.replace(state=before.before, point=before.point._replace(z=before.z_before))
-        still = still.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
-        exhausted = changed & (tried > MOST_SLIPS**problem.rows), self.to_snap(still)
+        exhausted = changed & (tried > MOST_SLIPS**problem.rows), self._jumps(onwards)
         onwards = onwards.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
         return WaysOn([exhausted, (changed, retry), unsettled], onwards, (tried == 0) | ~changed)
 

@@ -65,13 +65,19 @@ def slip_rates(
     return jnp.where(slips, state.friction.slip * rates, jnp.inf)
 
 
+def most_lean(problem: ChainProblem, z: Contacts) -> PerRow:
+    """The lean beyond which contacts that stick begin to slip; with friction."""
+    limit = problem.friction_angle
+    assert limit is not None
+    return limit + jnp.minimum(LEAN_NOISE, CONE_NOISE / jnp.maximum(z[:, FORCE], CONE_NOISE))
+
+
 def lean_margin(problem: ChainProblem, state: ChainState, z: Contacts, lean: PerRow | None) -> Float[Array, " rows"]:
     """How much further the forces of contacts that stick may lean; nothing without friction."""
     if lean is None or problem.friction_angle is None:
         return jnp.zeros(0)
-    noise = jnp.minimum(LEAN_NOISE, CONE_NOISE / jnp.maximum(z[:, FORCE], CONE_NOISE))
     sticks = held_of(problem.profile, state).sticks & (z[:, FORCE] > LIGHT)
-    return jnp.where(sticks, problem.friction_angle + noise - jnp.abs(lean), FAR)
+    return jnp.where(sticks, most_lean(problem, z) - jnp.abs(lean), FAR)
 
 
 def is_light(problem: ChainProblem, state: ChainState, z: Contacts) -> Rows:
@@ -79,11 +85,11 @@ def is_light(problem: ChainProblem, state: ChainState, z: Contacts) -> Rows:
     return held_of(problem.profile, state).sticks & (z[:, FORCE] <= LIGHT)
 
 
-def is_wedged(problem: ChainProblem, state: ChainState) -> Bool[Array, ""]:
+def is_wedged(problem: ChainProblem, state: ChainState, z: Contacts) -> Bool[Array, ""]:
     """Whether two neighbouring contacts stick: the force along a straight part between them is not determined."""
     if state.friction is None:
         return jnp.asarray(False)
-    sticks = of_whiskers(problem, held_of(problem.profile, state).sticks)
+    sticks = of_whiskers(problem, held_of(problem.profile, state).sticks & (z[:, FORCE] > LIGHT))
     return jnp.any(sticks[:, 1:] & sticks[:, :-1])
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
-from jaxwhisker._chain.friction import lean_margin
+from jaxwhisker._chain.friction import lean_margin, most_lean
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
     AT_STOP,
@@ -108,7 +108,7 @@ def first_violated(
     limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
     if problem.friction_angle is not None:
         lean = numbers_of(problem.profile, problem.friction_angle, z, march.state).lean
-        limit = jnp.where(crossed.number == LEAN, jnp.sign(jnp.asarray(lean)) * problem.friction_angle, limit)
+        limit = jnp.where(crossed.number == LEAN, jnp.sign(jnp.asarray(lean)) * most_lean(problem, z), limit)
     return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
 
 
