@@ -1,12 +1,11 @@
 """Soak test of several contacts: random scenes whose states are checked by laws that share no code with the package.
 
-python benchmarks/several_contacts.py [scenes] [seed] [part]     default 42, 0 and both parts, which are without and with
-                                                                 friction; twenty minutes, most of them compilation
+python benchmarks/several_contacts.py [scenes] [seed] [part]     default 42, 0 and both; twenty minutes of compilation
 
 Scenes with two and three circles, two ellipses, parabolas with waves, one and two boxes, convex polygons, and roofs
 with an inner corner; straight, curved and conical whiskers; clamped, on FB and on FBFB. Checked are every fifth step,
-the states after all events, and that contacts begin and end at events. With friction, coefficients are between 0.1 and 0.5,
-the drive of every second scene turns back for a while, and contacts must not move against their slip.
+the states after all events, and that contacts begin and end at events. The part `friction` has coefficients between
+0.1 and 0.5 and drives of which every second one turns back for a while; its contacts must not move against their slip.
 """
 
 import sys
@@ -63,8 +62,9 @@ def soaked(number: int, kind: str, scenes: int, seed: int, friction: tuple[float
     }
 
 
-def main(scenes: int = 42, seed: int = 0, *parts: str) -> None:
-    """Scan all kinds and store the tables."""
+def main(numbers: list[int], *parts: str) -> None:
+    """Scan all kinds and store the tables; the numbers are those of scenes and the seed."""
+    scenes, seed = [*numbers, *(42, 0)[len(numbers) :]]
     for part in parts or PARTS:
         rows = []
         for number, kind in enumerate(KINDS):
@@ -74,4 +74,5 @@ def main(scenes: int = 42, seed: int = 0, *parts: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]), *sys.argv[3:])
+    numbers, parts = sys.argv[1:3], sys.argv[3:]
+    main([*map(int, numbers)], *parts)

@@ -161,10 +161,18 @@ def test_contacts_that_stick_on_keep_their_places():
 
 
 @pytest.mark.parametrize(
-    ("slip", "phase", "wedged"), [((0, 0), (2, 2), True), ((0, 1), (2, 2), False), ((0, 0), (2, 0), False)]
+    ("slip", "phase", "force", "wedged"),
+    [
+        ((0, 0), (2, 2), 1.3, True),
+        ((0, 1), (2, 2), 1.3, False),
+        ((0, 0), (2, 0), 1.3, False),
+        ((0, 0), (2, 2), LIGHT, False),
+    ],
+    ids=["both", "one", "alone", "just begun"],
 )
-def test_a_whisker_is_wedged_between_two_contacts_that_stick(slip, phase, wedged):
-    assert bool(is_wedged(problem(), contacts(slip=slip, phase=phase))) == wedged
+def test_a_whisker_is_wedged_between_two_contacts_that_stick(slip, phase, force, wedged):
+    z = Z.at[0, 0].set(force)
+    assert bool(is_wedged(problem(), contacts(slip=slip, phase=phase), z)) == wedged
 
 
 def test_the_contact_that_leans_most_lets_a_wedged_whisker_loose():

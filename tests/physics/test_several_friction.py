@@ -135,6 +135,26 @@ def test_contacts_obey_the_laws_of_friction_at_corners_and_on_the_way_back(kind,
         assert value < SOLVED, (law, control)
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed", "most"),
+    [
+        # Coarse rods swung to and fro where they slip.
+        ("three circles, straight, clamped", (0, 2, 1), 0.8),
+        # Contacts come to rest, and can move on slowly in no way.
+        ("two ellipses, curved, FB", (0, 3, 0), 0.8),
+        # A contact that has come to rest leans too much at once.
+        ("wave, curved, FB", (1, 6, 8), 0.5),
+    ],
+    ids=["rods that swing", "no slow way", "too much at once"],
+)
+def test_jumps_with_friction_end_where_all_laws_hold(kind, seed, most):
+    one = drawn(kind, np.random.default_rng(seed), friction=(0.1, most))
+    result = jw.scan(one.scene, one.control)
+    assert all_ok(result), result
+    for law, control, _, value in checked(one, result):
+        assert value < SOLVED, (law, control)
+
+
 def test_the_force_along_a_straight_part_between_contacts_that_stick_is_not_determined():
     one = drawn("wave, straight, clamped", np.random.default_rng((2, 5, 1)), friction=COEFFICIENTS)
     result = jw.scan(one.scene, one.control)

@@ -16,6 +16,7 @@ from jaxwhisker._chain.landing import (
     revised_landing,
     state_differs,
     to_snap,
+    to_snap_from_before,
     towards_loss,
 )
 from jaxwhisker._chain.march_state import (
@@ -237,8 +238,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         forwards = jnp.where(ahead > 0, 1.0, -1.0)
         solved = Point(forwards * trial.tangent.z, forwards * trial.tangent.u)
         bent = along(Point(march.tangent.z, march.tangent.u), march.bend, march.target.distance)
-        bent, _ = unit(bent, march.point.z)
-        return select(begins_at(march), bent, solved)
+        return select(begins_at(march), unit(bent, march.point.z)[0], solved)
 
     def found(self, march: MarchOfChain, trial: TrialOfChain) -> TargetPoint:
         target, scale = march.target, scale_of(march.point.z)
@@ -359,7 +359,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
                 (snapped & (~converged | wrong) | stays, flow_again(march)),
                 (snapped & ~at_loss, onwards),
                 (~converged & wedged, march.stopped(Status.undetermined)),
-                (~converged & (march.slips_tried > 0), self._jumps(march)),
+                (~converged & (march.slips_tried > 0), to_snap_from_before(march)),
                 (~converged, march.stopped(Status.lost)),
                 (~trial.stance.opens, march.stopped(Status.not_convex)),
             ],
@@ -367,17 +367,6 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
 
     def to_snap(self, march: MarchOfChain):
         return to_snap(march)
-
-    def _jumps(self, march: MarchOfChain) -> MarchOfChain:
-        """Where contacts can move on slowly in no way, they jump, from the state before their slips were changed."""
-        if march.state.friction is None:
-            return march
-        before, nobody = march.pending, jnp.zeros_like(march.rests)
-        point = before.point._replace(z=before.z_before)
-        still = march.replace(
-            state=before.before, point=point, slips_tried=jnp.zeros_like(march.slips_tried), rests=nobody
-        )
-        return self.to_snap(still)
 
     def after_flow(self, march: MarchOfChain, trial: TrialOfChain):
         del trial
@@ -391,7 +380,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         changed, slip = changed_slips(problem, march, node.point, node.leaving, falls)
         changed &= ~march.slips
         retry = with_changed_slips(problem, onwards, node, slip, trial.tangent, rest=False)
-        exhausted = changed & (tried > MOST_SLIPS**problem.rows), self._jumps(onwards)
+        exhausted = changed & (tried > MOST_SLIPS**problem.rows), to_snap_from_before(onwards)
         onwards = onwards.replace(slips_tried=jnp.zeros_like(tried), rests=jnp.zeros_like(march.rests))
         return WaysOn([exhausted, (changed, retry), unsettled], onwards, (tried == 0) | ~changed)
 

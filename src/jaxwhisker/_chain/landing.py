@@ -63,6 +63,13 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
     return select(snaps > MOST_SNAPS, march.stopped(Status.unsettled), flowing)
 
 
+def to_snap_from_before(march: MarchOfChain) -> MarchOfChain:
+    """The state where contacts can move on slowly in no way: about to leave that before their slips were changed."""
+    before = march.pending
+    point, none = before.point._replace(z=before.z_before), jnp.zeros_like(march.slips_tried)
+    return to_snap(march.replace(state=before.before, point=point, slips_tried=none, rests=jnp.zeros_like(march.rests)))
+
+
 def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
     """Let rods flow until they come to rest, and take their contacts as a guess for an equilibrium.
 
