@@ -97,8 +97,10 @@ def _with_friction(
     passes = rows & (state.piece != before.piece)
     # In an inner corner, the force may lean further than normal to both faces.
     parameter = jnp.where(passes & then.rolls, limit, numbers.parameter)
-    parameter = parameter + jnp.where(enters, way * most, 0.0) - jnp.where(leaves, way * most, 0.0)
-    slack = jnp.where(state.phase != before.phase, 0.0, numbers.slack)
+    further = jnp.where(enters, way * most, jnp.where(leaves, -way * most, 0.0))
+    parameter += further
+    # The tangent turns with the parameter there, the whisker does not.
+    slack = jnp.where(state.phase != before.phase, 0.0, numbers.slack - state.side * further)
     slip = jnp.where(enters, 0, jnp.where(leaves, way, friction.slip))
     slip = jnp.where(rows & then.sticks & (way == 0) & (state.phase == before.phase), jnp.sign(limit).astype(int), slip)
     beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
