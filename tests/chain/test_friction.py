@@ -3,6 +3,7 @@
 # pyright: reportArgumentType=false, reportOptionalMemberAccess=false, reportOptionalSubscript=false
 # pyright: reportCallIssue=false
 from functools import cache
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,8 @@ import pytest
 
 import jaxwhisker as jw
 from jaxwhisker._base import checks
-from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.changes import changed_contacts
+from jaxwhisker._chain.contacts import ChainState, chain_of, held_of, numbers_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.friction import (
     LIGHT,
@@ -26,7 +28,12 @@ from jaxwhisker._chain.friction import (
     with_slips,
 )
 from jaxwhisker._chain.landing import loosened
+from jaxwhisker._chain.march_state import HIGH
+from jaxwhisker._chain.newton import of_whiskers
+from jaxwhisker._chain.polygons import corner_signs
+from jaxwhisker._equilibrium.contact import of_each
 from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.continuation import Limits
 from jaxwhisker._scan.chain import problem_now
 
@@ -182,3 +189,24 @@ def test_the_contact_that_leans_most_lets_a_wedged_whisker_loose():
     loose = loosened(own, march.replace(point=march.point._replace(z=z), state=state))
     assert loose.state.friction.slip.tolist() == [0, -1] and int(loose.flow.tries) == 1
     np.testing.assert_allclose(at(loose.point.z, loose.state).lean, [0.1, -np.arctan(MU)], rtol=EXACT)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_tip_that_enters_an_inner_corner_keeps_its_direction_and_its_force(side):
+    own = problem()
+    corner = int(jnp.argmin(corner_signs(own.profile)))
+    state = contacts(phase=(1, 0), piece=(corner - 1, 0), side=(side, 1.0), slip=(1, 1))
+    end = own.profile.ends_on(state.piece)[1]
+    z = Z.at[0, 1:].set(jnp.array([end[0], -0.4])).at[1].set(0.0)
+    march = ContinuationOfChain(own).start(jnp.zeros(1), Limits(*[jnp.zeros(())] * 3)).replace(state=state)
+    target = march.target._replace(number=jnp.asarray(HIGH), whiskers=jnp.array([True, False]), limit=end)
+    after, inside, _ = changed_contacts(
+        own, march.replace(target=target), SimpleNamespace(state=state, point=Point(z, jnp.zeros(())))
+    )
+    assert inside.piece[0] == corner and inside.friction.slip[0] == 0
+
+    def of(z, state):
+        chain = of_each(own.bodies(jnp.zeros(())), chain_of, *of_whiskers(own, (z, state)))
+        return jnp.stack([*(leaf[0, 0] for leaf in chain.start), chain.load.force_x[0, 0], chain.load.force_y[0, 0]])
+
+    np.testing.assert_allclose(of(after, inside), of(z, state), atol=EXACT)
