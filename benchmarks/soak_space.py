@@ -1,7 +1,8 @@
 """Soak test of scans in space: random scenes of every kind, checked by laws that share no code with the package.
 
-python benchmarks/soak_space.py [scenes]     default 20,000; about an hour on one core
-python benchmarks/soak_space.py KIND SCENE   scans one of these scenes again, and shows it
+python benchmarks/soak_space.py [scenes]           default 20,000; about an hour on one core
+python benchmarks/soak_space.py objects [scenes]   default 1,000; capsules, boxes and planes, and two objects at once
+python benchmarks/soak_space.py KIND SCENE         scans one of these scenes again, and shows it
 
 Random states of each scene and those at its events are checked, and the second variation of one state in ten. Wrong
 scenes and those with a step that is not ok are listed with the command's arguments that show them, and with what the
@@ -24,7 +25,7 @@ from common import write
 
 # isort: split
 # After common, which puts the tests on the search path.
-from random_space import KINDS, Drawn, drawn
+from random_space import EVERYDAY, KINDS, Drawn, drawn, drawn_before_two
 from space_laws import Plain, State, shafts, spread, stability, state_of, violations
 
 ROUND = 40  # scenes of a kind in a round; results are stored after every round
@@ -43,6 +44,19 @@ SCALARS = [*(f"{f}{a}" for f in "fm" for a in "xyz"), *(f"{r}_{a}" for r in ("ba
 FIELDS = [*SCALARS, "base_rotation", "contact_force", "contact_arc", "phase"]
 
 
+def everyday(kind: str, rng: np.random.Generator) -> Drawn:
+    """A random scene with a capsule, a box or a plane."""
+    return drawn(kind, rng, EVERYDAY)
+
+
+# Kinds of scenes, their names in the table, and how they are drawn.
+SOAKED = [
+    *((kind, kind, drawn) for kind in KINDS),
+    *((kind, f"{kind}, everyday object", everyday) for kind in KINDS),
+    *((kind, f"{kind}, two objects", drawn_before_two) for kind in KINDS if kind.endswith("linear")),
+]
+
+
 class Row:
     """One row of the fields of a result."""
 
@@ -55,7 +69,8 @@ class Row:
 
 def scene_of(kind: int, number: int) -> Drawn:
     """A scene of the soak test."""
-    return drawn(KINDS[kind], np.random.default_rng([kind, number]))
+    name, _, draw = SOAKED[kind]
+    return draw(name, np.random.default_rng([kind, number]))
 
 
 def rows_of(states, control, rows) -> list[State]:
@@ -168,7 +183,7 @@ class Table:
     def row(self) -> dict:
         """The row of the table."""
         return {
-            "kind": KINDS[self.kind],
+            "kind": SOAKED[self.kind][1],
             "scenes": self.scenes,
             "states": self.states,
             "not ok": ", ".join(f"{n} {name}" for name, n in sorted(self.statuses.items())),
@@ -196,20 +211,23 @@ def show(kind: int, number: int) -> None:
         print(f"u = {state.control:+.6f}, {contact}, least eigenvalue {least:.3g} {broken or ''}")
 
 
-def main(scenes: int, first: int = 0) -> None:
-    """Scan scenes of all kinds in turn, and store the table after every round."""
-    tables = [Table(kind) for kind in range(len(KINDS))]
-    each = -(-scenes // len(KINDS))
-    for start in range(first, first + each, ROUND):
+def main(name: str, kinds: range, scenes: int) -> None:
+    """Scan scenes of some kinds in turn, and store the table after every kind."""
+    each = -(-scenes // len(kinds))
+    tables = [Table(kind) for kind in kinds]
+    for start in range(0, each, ROUND):
         for table in tables:
-            for number in range(start, min(start + ROUND, first + each)):
+            for number in range(start, min(start + ROUND, each)):
                 table.scan(number)
-        write("soak_space", [table.row() for table in tables])
+            write(name, [table.row() for table in tables if table.scenes])
 
 
 if __name__ == "__main__":
-    numbers = [int(argument) for argument in sys.argv[1:]]
-    if len(numbers) > 1:
+    objects = sys.argv[1:2] == ["objects"]
+    numbers = [int(argument) for argument in sys.argv[1 + objects :]]
+    if objects:
+        main("soak_objects", range(len(KINDS), len(SOAKED)), *numbers or [1000])
+    elif len(numbers) > 1:
         show(*numbers)
     else:
-        main(*numbers or [20_000])
+        main("soak_space", range(len(KINDS)), *numbers or [20_000])

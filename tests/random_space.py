@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
-from space_laws import UPRIGHT, Plain, RoundedCore, Surface, _left_jacobian
+from space_laws import UPRIGHT, Apart, Plain, RoundedCore, Surface, _left_jacobian
 
 
 class Cone(eqx.Module):
@@ -231,7 +231,7 @@ def _tried(rod, base, drive, rng, surfaces):
     return Drawn(scene, plain, f"{name} {size:.2f} {text} curv {curvature.round(2)} roll {roll:.2f} taper {taper:.2f}")
 
 
-def drawn_before_two(kind: str, rng: np.random.Generator) -> tuple[jw.SpaceScene, tuple[Plain, Plain]]:
+def drawn_before_two(kind: str, rng: np.random.Generator) -> Drawn:
     """A random scene of a kind with a linear drive, with a second object that is apart from the first one."""
     while True:
         first = drawn(kind, rng, SURFACES[:3])
@@ -246,10 +246,10 @@ def drawn_before_two(kind: str, rng: np.random.Generator) -> tuple[jw.SpaceScene
         if inside is None:
             continue
         inside = inside + rng.uniform(0.3, 3.0) * direction
-        second = first.plain._replace(surface=placed(inside))
-        cloud = inside + rng.uniform(-2.0, 2.0, (40000, 3))
-        if np.min(np.maximum(first.plain.surface.off(cloud), second.surface.off(cloud))) < APART:
+        near, second = inside + rng.uniform(-2.0, 2.0, (40000, 3)), placed(inside)
+        if np.min(np.maximum(first.plain.surface.off(near), second.off(near))) < APART:
             continue
         objects = (first.scene.surface, surface.moved(tuple(map(float, inside))))
         scene = jw.SpaceScene(first.scene.whisker, objects, first.scene.support, motion=motion)
-        return scene, (first.plain, second)
+        plain = first.plain._replace(surface=Apart((first.plain.surface, second)))
+        return Drawn(scene, plain, f"{first.text}; {objects[1]}")

@@ -79,10 +79,24 @@ class RoundedCore(NamedTuple):
         return (rate * sign / size) @ self.axes, self.axes.T @ np.diag(bend / size) @ self.axes
 
 
+class Apart(NamedTuple):
+    """Several objects that are apart from each other; a point on one of them is outside all others."""
+
+    each: tuple[Surface | RoundedCore, ...]
+
+    def off(self, x):
+        """Distance from the nearest object to first order, of points (..., 3)."""
+        return np.min([one.off(x) for one in self.each], axis=0)
+
+    def normal_and_curvature(self, x):
+        nearest = np.argmin([one.off(x) for one in self.each])
+        return self.each[nearest].normal_and_curvature(x)
+
+
 class Plain(NamedTuple):
     """A scene with one whisker in plain numbers."""
 
-    surface: Surface | RoundedCore
+    surface: Surface | RoundedCore | Apart
     placement: Callable  # control -> position of the mount without springs, rotation of the drive, of the mount's frame
     length: float = 1.0
     stiffness: Callable = lambda s: 1.0  # B(s)
