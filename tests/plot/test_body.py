@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._model.surfaces import as_one_surface
 from jaxwhisker.plot.body import NEAR, SUNK, body_of
 
 ON_SURFACE = 1e-9  # a length: bisection, on surfaces of the size 1
@@ -126,3 +127,20 @@ def test_the_vertices_of_a_user_defined_surface_lie_on_it():
 
 def test_an_object_far_from_the_whiskers_is_not_drawn():
     assert near_whiskers(jw.Sphere(0.1, (0.0, 30.0, 0.0))) is None
+
+
+def test_several_objects_are_parts_of_one_body():
+    """A small ball behind a large one, as seen along x, and one beside them."""
+    balls = jw.Sphere(0.3, (0.0, 0.0, 0.0)), jw.Sphere(0.1, (-1.0, 0.0, 0.0)), jw.Sphere(0.1, (0.0, 1.0, 0.0))
+    far = jw.Sphere(0.1, (0.0, 0.0, 50.0))
+    body = body_of(as_one_surface((*balls, far)), np.full(3, -1.0), np.full(3, 1.0))
+    assert body is not None and list(body.parts) == [0, 1, 2]
+    towards = np.array([1.0, 0.0, 0.0])
+    alone = [body_of(one, np.full(3, -1.0), np.full(3, 1.0)) for one in balls]
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (4000, 3))
+    each = [one.hides(points, towards) for one in alone if one is not None]
+    np.testing.assert_array_equal(body.hides(points, towards), np.any(each, axis=0))
+    assert all(hidden.any() for hidden in each)
+    outlines = [len(one.outline(towards)) for one in alone if one is not None]
+    assert len(body.outline(towards)) == outlines[0] + outlines[2]  # that of the ball behind is hidden
+    assert len(body.outline(-towards)) == sum(len(one.outline(-towards)) for one in alone if one is not None)
