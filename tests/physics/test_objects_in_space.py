@@ -72,6 +72,18 @@ def test_a_whisker_that_comes_free_lands_on_an_object_in_its_way(second):
         np.testing.assert_allclose(getattr(result, name)[lands], getattr(alone, name)[lands], atol=EXACT)
 
 
+def test_a_curved_whisker_on_a_rolled_mount_lands_like_a_straight_one():
+    parts = {"motion": ALONG, "support": jw.Support(mount=jw.Mount(roll=2.0))}
+    curved, second = jw.Whisker(intrinsic_curvature=0.2, lateral_curvature=0.15), peg(0.01, -0.3, 0.8, 0.1)
+    control = np.linspace(-0.2, 0.6, 41)
+    result = jw.scan(jw.SpaceScene(curved, (PEG, second), **parts), control)
+    alone = jw.scan(jw.SpaceScene(curved, second, **parts), control)
+    lands = control > next(event for event in result.events if event.kind == jw.EventKind.snap_through).control
+    assert np.all(result.status == 0) and np.all(result.contact_object[lands] == 2)
+    for name in NAMES:
+        np.testing.assert_allclose(getattr(result, name)[lands], getattr(alone, name)[lands], atol=EXACT)
+
+
 def test_a_whisker_comes_free_if_the_next_object_is_not_in_its_way():
     result = jw.scan(before(PEG, peg(0.01, -0.3, 0.95)), np.linspace(-0.3, 0.6, 41))
     assert np.all(result.status == 0) and result.phase[-1, 0] == 0
@@ -96,6 +108,13 @@ def test_a_scan_ends_where_the_shaft_meets_another_object():
 def test_a_scan_ends_where_a_tip_slides_onto_an_object_that_overlaps(x):
     result = jw.scan(before(jw.Sphere(0.3, (0.0, 1.0, 0.05)), jw.Sphere(0.3, (x, 1.05, 0.05))))
     assert int(np.max(result.status)) in (jw.Status.second_contact, jw.Status.lost)
+    assert set(np.unique(result.contact_object)) == {0, 1}
+
+
+def test_a_contact_does_not_slide_onto_another_object_unnoticed():
+    """The corner between two balls is so shallow that nothing else ends the scan: the directions differ by 0.003."""
+    result = jw.scan(before(jw.Sphere(1.0, (0.0, 1.9, 0.05)), jw.Sphere(1.0, (-0.003, 1.9, 0.05))))
+    assert int(np.max(result.status)) == jw.Status.second_contact
     assert set(np.unique(result.contact_object)) == {0, 1}
 
 

@@ -33,6 +33,7 @@ class _Way(NamedTuple):
 
     before: CentreLine
     after: CentreLine
+    side: Float[Array, "points 3"]  # first directors of the unloaded whisker
     touched: Bool[Array, " objects"]  # before
     lands: Bool[Array, " objects"]  # whether it touches the object afterwards
 
@@ -78,7 +79,7 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
     """
     surface = problem.surface
 
-    def one(way: _Way, z: Contact, sides: Array) -> Met:
+    def one(way: _Way, z: Contact) -> Met:
         allowed = jnp.where(way.lands, LANDING, DEPTH)
 
         def depths(share: Scalar) -> Float[Array, " objects"]:
@@ -107,7 +108,7 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
             cubic, t = line.interval(place)
             distance, out = one.plane_before(cubic.value(t))
             tangent = cubic.rate(t) / jnp.sqrt(jnp.sum(cubic.rate(t) ** 2))
-            side = sides[jnp.round(place).astype(int)] if problem.rolls else None
+            side = way.side[jnp.round(place).astype(int)] if problem.rolls else None
             beyond = jnp.where(place >= INTERVALS - TIP, 0.0, (INTERVALS - place) * line.spacing)
             begins = contact_at(cubic.value(t) - distance * out, out, tangent, side, beyond)
             # It is as if the load had fallen as far as the whisker has come.
@@ -115,7 +116,7 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
 
         return Met(found.found, surface.of_each(contact)[jnp.argmax(depths(share))])
 
-    return jax.vmap(one)(_ways(problem, u, before, after), before[0], problem.outline.rotation[..., 0])
+    return jax.vmap(one)(_ways(problem, u, before, after), before[0])
 
 
 class _OnTheWay(NamedTuple):
@@ -130,18 +131,18 @@ def _ways(problem: SpaceProblem, u: Scalar, before: Side, after: Side) -> _Way:
     """The ways of all whiskers, fields (whiskers, ...)."""
     numbers = jnp.arange(len(problem.surface.objects))
 
-    def of_side(side: Side) -> tuple[CentreLine, Bool[Array, "whiskers objects"]]:
+    def of_side(side: Side) -> tuple[CentreLine, Array, Bool[Array, "whiskers objects"]]:
         z, phase = side
         own = jax.vmap(problem.surface.object_of)(z[:, POINT])
-        return _lines(problem, z, u, phase), (numbers == own[:, None]) & (phase != Phase.free)[:, None]
+        return *_lines(problem, z, u, phase), (numbers == own[:, None]) & (phase != Phase.free)[:, None]
 
-    lines, touched = jax.vmap(of_side)(jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after))
-    sides = [jax.tree.map(lambda leaf, k=k: leaf[k], lines) for k in (0, 1)]
-    return _Way(*sides, *touched)
+    lines, sides, touched = jax.vmap(of_side)(jax.tree.map(lambda *leaves: jnp.stack(leaves), before, after))
+    first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], lines) for k in (0, 1))
+    return _Way(first, last, sides[1], touched[0], touched[1])
 
 
-def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> CentreLine:
-    """All whiskers in the scene at equidistant points, fields (whiskers, ...)."""
+def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> tuple[CentreLine, Array]:
+    """All whiskers in the scene at equidistant points, and the first directors of unloaded ones; (whiskers, ...)."""
     drive, pose = problem.drive(u), jnp.zeros((phase.size, 6))
     if problem.springs is not None:  # by which the loads of others move a base
         _, pose, _ = residuals(problem, z, u, phase, z)
@@ -162,10 +163,8 @@ def _lines(problem: SpaceProblem, z: Contacts, u: Scalar, phase: Phases) -> Cent
         position, rate = jax.vmap(at)(k + jnp.clip((arcs - ends[k]) / spacing, 0.0, 1.0))
         tangent = jnp.where(long[:, None], rate / spacing[:, None], bent.tangent[k])
         free = phase == Phase.free
-        return CentreLine(
-            jnp.where(free, placed.position, position),
-            jnp.where(free, placed.rotation[..., 2], tangent),
-            jnp.asarray(body.length) / INTERVALS,
-        )
+        position = jnp.where(free, placed.position, position)
+        tangent = jnp.where(free, placed.rotation[..., 2], tangent)
+        return CentreLine(position, tangent, jnp.asarray(body.length) / INTERVALS), placed.rotation[..., 0]
 
     return of_each(problem, of_whisker, z, phase, pose, problem.outline)
