@@ -162,6 +162,8 @@ def test_random_scenes_obey_all_laws(kind):
 def test_what_is_no_surface_is_named():
     with pytest.raises(ValueError, match=r"`surface` must be a Sphere.*or a tuple of these"):
         before(PEG, jw.Circle(0.3, 0.2))
+    with pytest.raises(ValueError, match=r"or a tuple of these, got \[Cylinder"):
+        jw.Scene(jw.Whisker(), [PEG, BALL])
 
 
 def test_scenes_with_two_objects_are_written_and_drawn(tmp_path):

@@ -75,7 +75,7 @@ class _OfObject(type(eqx.Module)):
 
 
 def _in_space(value: Any) -> bool:
-    some = value if isinstance(value, tuple) else (value,)
+    some = value if isinstance(value, list | tuple) else (value,)
     return any(getattr(one, "is_surface", False) for one in some)
 
 
