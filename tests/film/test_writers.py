@@ -25,8 +25,13 @@ def blue(image):
     return np.sum(other - red > BLUE)
 
 
+def open_figures():
+    """Numbers of the figures of pyplot, which the films do without."""
+    return sys.modules["matplotlib.pyplot"].get_fignums() if "matplotlib.pyplot" in sys.modules else []
+
+
 def test_a_gif_is_what_pillow_reads(stiff, tmp_path):
-    style, path = dict(matplotlib.rcParams), tmp_path / "film.gif"
+    style, path, figures = dict(matplotlib.rcParams), tmp_path / "film.gif", open_figures()
     assert animate(stiff, path, seconds=1.6, fps=20, width=300, progress=False) == path
     with Image.open(path) as opened:
         images = [np.array(image.convert("RGB")) for image in ImageSequence.Iterator(opened)]
@@ -39,7 +44,7 @@ def test_a_gif_is_what_pillow_reads(stiff, tmp_path):
     assert min(blue(image) for image in images) > 20
     # matplotlib's settings are unchanged, and no figure is left open.
     assert dict(matplotlib.rcParams) == style
-    assert "matplotlib.pyplot" not in sys.modules or not sys.modules["matplotlib.pyplot"].get_fignums()
+    assert open_figures() == figures
 
 
 @FFPROBE

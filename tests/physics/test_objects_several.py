@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import jaxwhisker as jw
 from jaxwhisker._equilibrium.clearance import DEPTH
@@ -265,3 +266,4 @@ def test_figures_show_all_objects():
     left, right = axes.get_xlim()
     assert left < -3.0 and right > 0.0
     assert len(axes.patches) - len(jw.plot.scene(scene(FIRST)).patches) == 1
+    pyplot.close("all")
