@@ -17,6 +17,7 @@ from jaxwhisker._equilibrium.problem import AT_ORIGIN, Attached, InPlane
 from jaxwhisker._equilibrium.shaft_springs import AXIAL, Attachments, Laws, ShaftSprings, Tissue
 from jaxwhisker._equilibrium.solver import solve_point
 from jaxwhisker._equilibrium.stance import Contacts, Poses
+from jaxwhisker._equilibrium.weight import Weight
 from jaxwhisker._model.motion import Pose, mounted
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.spring import AXES, Spring
@@ -51,10 +52,10 @@ class OnShafts(NamedTuple):
     couplings: Couplings | None = None  # springs between two shafts; None without any
 
 
-def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
-    """Dimensionless springs on the shafts of all whiskers; None without such springs."""
+def attached(support: Support, section: Any, unit: Units, weight: Weight | None = None) -> OnShafts | None:
+    """Dimensionless springs on the shafts of all whiskers, and their weights; None without any of these."""
     springs, laws = support.attached, []
-    if not support.on_shafts:
+    if not support.on_shafts and weight is None:
         return None
     each: list[list[ShaftSprings]] = [[] for _ in range(support.whiskers)]
     between = []  # springs between two shafts, and the ranks of both ends
@@ -92,7 +93,7 @@ def attached(support: Support, section: Any, unit: Units) -> OnShafts | None:
 
     ordered, ranks = jax.vmap(sort)(unsorted)
     blank = jnp.zeros((support.whiskers, 3 + support.shaft_loads))
-    found = OnShafts(Attachments(ordered, tissue), tuple(laws), ranks, blank)
+    found = OnShafts(Attachments(ordered, tissue, weight), tuple(laws), ranks, blank)
     return found if not between else _coupled(found, between)
 
 

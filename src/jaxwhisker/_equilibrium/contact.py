@@ -234,7 +234,13 @@ def start_of(
     start = (placed.x, placed.y, placed.cos, placed.sin)
     start = jax.tree.map(lambda a, b: jnp.where(free, a, b), tip, start)
     force_x, force_y = (jnp.where(free, 0.0, force) for force in (placed.force_x, placed.force_y))
-    return start, pressed(start[:2], force_x, force_y), placed
+    load, weight = pressed(start[:2], force_x, force_y), body.sprung.held_by.weight
+    if weight is not None:
+        section, steps = material_of(body), getattr(body.rod, "steps", None)
+        assert isinstance(section, Section) and isinstance(steps, int)
+        carried = weight.beyond(start, arc(body, z[SLACK], phase), body.length, section, steps=steps)
+        load = jax.tree.map(jnp.add, load, carried)
+    return start, load, placed
 
 
 def _sprung_base(

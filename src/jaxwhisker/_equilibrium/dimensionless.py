@@ -15,6 +15,7 @@ from jaxwhisker._equilibrium.attach import attached, with_unloaded
 from jaxwhisker._equilibrium.problem import AlongX, InPlane, Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
 from jaxwhisker._equilibrium.touch import Outline, TouchAlongX
+from jaxwhisker._equilibrium.weight import valid_gravity, weights_of
 from jaxwhisker._model.canonical import CanonicalScene, canonical
 from jaxwhisker._model.motion import Pose, Translation
 from jaxwhisker._model.profile import AbstractProfile
@@ -33,7 +34,8 @@ def problem_of(scene: Scene | CanonicalScene) -> Problem:
     unit = jax.tree.map(checks.as_float, units_of(scene.whiskers[0], scene.motion))
     length = jnp.stack([jnp.asarray(w.length, dtype=float) for w in scene.whiskers]) / unit.length
     stiffness = jnp.stack([jnp.asarray(w.base_stiffness, dtype=float) for w in scene.whiskers])
-    section = sections(scene.whiskers, unit.length, unit.moment * unit.length)
+    heavy = scene.gravity is not None
+    section = sections(scene.whiskers, unit.length, unit.moment * unit.length, heavy=heavy)
     spring, torsion = unit.force / unit.length, unit.moment
     hold = scene.support.hold(spring, torsion) if isinstance(scene.support, Support) else None
     flexibility = scene.support.flexibility(hold)
@@ -78,8 +80,10 @@ def problem_of(scene: Scene | CanonicalScene) -> Problem:
     right, left = touch.of_objects(common["profile"], somewhere)
     common |= {"flexibility": flexibility, "valid": valid, "touch_right": right, "touch_left": left}
     problem = InPlane(**common, mount=mount, outline=outline)
-    springs = attached(scene.support, section, unit) if isinstance(scene.support, Support) else None
-    if springs is not None and hold is not None:
+    weight = weights_of(scene.whiskers, scene.gravity, unit)
+    springs = attached(scene.support, section, unit, weight) if isinstance(scene.support, Support) else None
+    if springs is not None:
+        hold = jnp.zeros((length.size, 3)) if hold is None else hold
         held = jax.vmap(_turned)(angle, hold / jnp.stack([spring, spring, torsion]))
         problem, found = with_unloaded(problem, springs, held)
         problem = eqx.tree_at(lambda p: p.valid, problem, problem.valid & found)
@@ -141,14 +145,17 @@ def outlines(
 
 
 def sections(
-    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar
+    whiskers: tuple[Whisker, ...], length_unit: Scalar, stiffness_unit: Scalar, *, heavy: bool = False
 ) -> Section | tuple[Section, ...] | None:
-    """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple."""
-    if all(whisker.uniform for whisker in whiskers):
+    """Sections of all whiskers: None if all are uniform, stacked if they differ in numbers only, otherwise a tuple.
+
+    Those of `heavy` whiskers include their masses per length, also if they are uniform.
+    """
+    if all(whisker.uniform for whisker in whiskers) and not heavy:
         return None
     whiskers = with_equal_breaks(jax.tree.map(checks.as_float, whiskers))
     length, stiffness = (jnp.asarray(unit, dtype=float) for unit in (length_unit, stiffness_unit))
-    return stacked_or_each([whisker.section(length, stiffness) for whisker in whiskers])
+    return stacked_or_each([whisker.section(length, stiffness, heavy=heavy) for whisker in whiskers])
 
 
 def stacked_or_each(each: list[Any]) -> Any:
@@ -165,6 +172,9 @@ def is_valid(scene: CanonicalScene) -> Bool[Array, ""]:
     valid = scene.profile.valid() & scene.support.valid() & scene.motion.valid() & whiskers
     for _, whisker, place in scene.support.attachments():
         valid &= jnp.asarray(place) < scene.whiskers[whisker - 1].length
+    if scene.gravity is not None:
+        heavy = [whisker.valid_masses() for whisker in scene.whiskers]
+        valid &= valid_gravity(scene.gravity) & jnp.all(jnp.stack(heavy))
     if scene.friction is None:
         return valid
     return valid & (scene.friction >= 0) & jnp.isfinite(scene.friction)

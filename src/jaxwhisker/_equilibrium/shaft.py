@@ -94,8 +94,16 @@ def _sprung_shaft(
     arc, material = contact.arc(body, z[SLACK], phase), contact.material_of(body)
     places, _ = sprung.held_by.with_places(arc * jnp.linspace(1.0, 0.0, CELLS + 1))
     walked = walk(start, load, arc, material, places, body.laws, sprung.drive, steps=1)
-    nothing = Load(None, jnp.zeros_like(arc), None)
-    beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
+    weight = sprung.held_by.weight
+    if weight is None:
+        nothing = Load(None, jnp.zeros_like(arc), None)
+        beyond = rod.points(start, arc - body.length, nothing, material, count=CELLS_BEYOND + 1, from_base=arc)
+    else:
+        assert isinstance(material, Section)
+        s = arc + (body.length - arc) * jnp.linspace(0.0, 1.0, CELLS_BEYOND + 1)
+        # The contact acts on the part below it.
+        own = weight.beyond(start, arc, body.length, material, steps=CELLS_BEYOND)
+        beyond, _ = weight.line(start, own, s, material)
     x, y, cos, sin = walked.passed
     to_base = ShaftLine(x, y, cos, sin, jnp.diff(jnp.maximum(places.springs.at, 0.0)))
     to_tip = ShaftLine(*beyond, jnp.full(CELLS_BEYOND, (body.length - arc) / CELLS_BEYOND))

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._equilibrium.weight import Weight
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
@@ -98,6 +99,7 @@ class Attachments(NamedTuple):
 
     springs: ShaftSprings
     tissue: Tissue | None = None  # None without any foundation
+    weight: Weight | None = None  # None without gravity
     # Force along x and y and moment on the shaft at each place, in the drive's frame, of springs to other whiskers;
     # None without such springs.
     given: Float[Array, "*batch springs 3"] | None = None
@@ -123,9 +125,9 @@ class Attachments(NamedTuple):
     def weakened(self, share: Scalar) -> "Attachments":
         """The same with this share of all forces."""
         springs = self.springs._replace(share=share * self.springs.share)
-        if self.tissue is None:
-            return self._replace(springs=springs)
-        return self._replace(springs=springs, tissue=self.tissue._replace(stiffness=share * self.tissue.stiffness))
+        tissue, weight = self.tissue, self.weight
+        tissue = None if tissue is None else tissue._replace(stiffness=share * tissue.stiffness)
+        return self._replace(springs=springs, tissue=tissue, weight=None if weight is None else weight.weakened(share))
 
 
 def tension_of(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
@@ -264,8 +266,14 @@ def walk(
         sign: 1 on the way to the base, -1 away from it.
     """
 
+    given = None
+    if held.weight is not None:
+        assert isinstance(material, Section)
+        given = held.weight.density(material)
+
     def onwards(state, load, s, stop):
-        return *to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver), None
+        ahead = to_next(state, load, s, stop, material, held.tissue, drive, steps=steps, solver=solver, given=given)
+        return *ahead, None
 
     def behind(load, state, place):
         spring, given = place

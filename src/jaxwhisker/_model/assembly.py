@@ -19,6 +19,7 @@ class AbstractScene(eqx.Module):
 
     whisker: eqx.AbstractVar[Whisker | tuple[Whisker, ...]]
     in_space = False
+    gravity = None  # of scenes that have none
 
     # Type checkers would take variables for fields before the object.
     @property

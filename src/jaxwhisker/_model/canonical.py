@@ -45,27 +45,28 @@ class Networks(eqx.Module):
 
 
 class CanonicalScene(eqx.Module):
-    """A scene in its canonical form, without masses and without what it detects."""
+    """A scene in its canonical form, without masses unless these have a weight, and without what it detects."""
 
     whiskers: tuple[Whisker, ...]
     profile: AbstractProfile
-    support: Support | Networks  # a Support if springs are attached to shafts
+    support: Support | Networks  # a Support if springs are attached to shafts, or whiskers have a weight
     rod: AbstractRod
     motion: AbstractMotion  # its poses only
     onwards: Int[Array, ""] | Int[np.ndarray, ""]
     ends: tuple[Scalar, Scalar] | None
     friction: Scalar | None
+    gravity: tuple[Scalar, Scalar] | None
     along_x: bool = eqx.field(static=True)  # whether bases move along x only
 
 
 def canonical(scene: Scene) -> CanonicalScene:
     """The canonical form of a scene."""
-    support, along_x = scene.support, moves_along_x(scene)
-    if not support.on_shafts:
+    support, along_x, gravity = scene.support, moves_along_x(scene), jax.tree.map(checks.as_float, scene.gravity)
+    if not support.on_shafts and gravity is None:
         mounts = () if along_x else jax.tree.map(checks.as_float, support.mounts)
         support = Networks(support.linked(("x",) if along_x else AXES), mounts)
     return CanonicalScene(
-        tuple(whisker.without_masses() for whisker in scene.whiskers),
+        tuple(whisker.without_masses() if gravity is None else whisker for whisker in scene.whiskers),
         scene.profile.canonical(),
         support,
         scene.rod,
@@ -73,5 +74,6 @@ def canonical(scene: Scene) -> CanonicalScene:
         np.asarray(scene.motion.onwards),
         jax.tree.map(checks.as_float, scene.motion.ends),
         scene.friction,
+        gravity,
         along_x,
     )

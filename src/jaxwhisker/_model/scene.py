@@ -68,6 +68,8 @@ class _OfObject(type(eqx.Module)):
 
             if (detect := kwargs.pop("detect", None)) is not None:
                 checks.fail("detect", "None in space", repr(detect))
+            if (gravity := kwargs.pop("gravity", None)) is not None:
+                checks.fail("gravity", "None in space", as_text(gravity))
             if (contacts := kwargs.pop("contacts", 1)) != 1:
                 checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
@@ -99,7 +101,11 @@ class Scene(AbstractScene, metaclass=_OfObject):
         contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
             objects at once, and concave ones, and one object in several places; contact fields of results then have a
             last axis of contacts, from the tip to the base. Scans then take several times as long. Not available
-            with springs on shafts, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
+            with springs on shafts, gravity, crossings and `ClosedForm()`, and for `Cut` and tilted polygons.
+        gravity: acceleration along x and y, whose weight of each whisker's `mass_per_length` and `tip_mass` bends it
+            everywhere, before any contact and beyond it: (0.0, -9.81) for whiskers in SI units that stand upright. fx,
+            fy and mz then balance the weight, too. The drive moves along a straight line without turning. Such scans
+            take several times as long. Default: no weight.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
@@ -118,6 +124,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
     friction: Scalar | None = None
     detect: str | tuple[str, ...] | None = eqx.field(static=True, default=None, converter=_as_names)
     contacts: int = eqx.field(static=True, default=1)
+    gravity: tuple[Scalar, Scalar] | None = None
 
     def __post_init__(self):
         self.support = in_row(self.whisker, self.support)
@@ -137,6 +144,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         if self.support.on_shafts and not isinstance(self.rod, Shooting):
             allowed = "Shooting() for springs on shafts, which change the load along the whisker"
             checks.fail("rod", allowed, f"{type(self.rod).__name__}()")
+        self._check_gravity()
         known = isinstance(self.detect, tuple) and all(name in DETECTABLE for name in self.detect)
         if self.detect is not None and not known:
             allowed = f"{' or '.join(map(repr, DETECTABLE))}, or a tuple of these"
@@ -147,6 +155,18 @@ class Scene(AbstractScene, metaclass=_OfObject):
         elif self.profile.is_concave:
             checks.fail("contacts", "at least 2 for a hollow object, or one with inner corners", "1")
 
+    def _check_gravity(self):
+        """Check that whiskers have weights if there is gravity, and that all other parts of the scene take them."""
+        if self.gravity is None:
+            return
+        checks.pair("gravity", self.gravity)
+        if any(whisker.mass_per_length is None for whisker in self.whiskers):
+            checks.fail("mass_per_length", "given for whiskers with a weight", "None")
+        if not isinstance(self.motion, Translation):
+            checks.fail("motion", "a Translation for whiskers with a weight", str(self.motion))
+        if not isinstance(self.rod, Shooting):
+            checks.fail("rod", "Shooting() for whiskers with a weight", f"{type(self.rod).__name__}()")
+
     def _check_several(self):
         """Check that all parts of a scene with several contacts of one whisker are modelled."""
         if self.contacts > MOST_CONTACTS:
@@ -154,6 +174,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         unknown = (
             (self.support.on_shafts, "support", "without springs or foundations on shafts for several contacts"),
             (not isinstance(self.rod, Shooting), "rod", "Shooting() for several contacts"),
+            (self.gravity is not None, "gravity", "None for several contacts"),
             (
                 not all(one.has_corners or not one.has_edges for one in self.profile.objects),
                 "profile",
@@ -164,7 +185,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         for is_there, name, allowed in unknown:
             if is_there:
                 value = getattr(self, name)
-                checks.fail(name, allowed, repr(value) if name == "detect" else str(value))
+                checks.fail(name, allowed, repr(value) if name == "detect" else as_text(value))
 
     @property
     def objects(self) -> tuple[AbstractProfile, ...]:
@@ -182,7 +203,9 @@ class Scene(AbstractScene, metaclass=_OfObject):
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
         contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
-        return f"{support_text(self.support)}, {self.profile}{whisker}{friction}{rods}{motion}{detect}{contacts}"
+        gravity = "" if self.gravity is None else f", gravity {as_text(self.gravity)}"
+        parts = f"{self.profile}{whisker}{friction}{gravity}{rods}{motion}{detect}{contacts}"
+        return f"{support_text(self.support)}, {parts}"
 
     __repr__ = __str__
 
@@ -220,6 +243,8 @@ class Sensor(eqx.Module):
     def of(cls, scene: Scene) -> "Sensor":
         """The sensor of a scene."""
         checks.instance("scene", scene, Scene, "a Scene")
+        if scene.gravity is not None:
+            checks.fail("scene", "without gravity", str(scene))
         return cls(scene.whisker, scene.support, scene.motion, scene.friction)
 
     def before(self, profile: AbstractProfile, contacts: int = 1) -> Scene:
@@ -305,4 +330,5 @@ def objects_of(scene: Scene | Sensor) -> tuple[AbstractProfile, ...]:
 def moves_along_x(scene: Any) -> bool:
     """Whether a single axis suffices: bases stay upright at height 0, move along x only, and hold all springs."""
     along_x = isinstance(scene.motion, Translation) and scene.support.axes in ((), ("x",))
-    return along_x and scene.support.mount is None and not scene.support.on_shafts
+    bent = scene.support.on_shafts or scene.gravity is not None
+    return along_x and scene.support.mount is None and not bent

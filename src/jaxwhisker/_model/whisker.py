@@ -214,12 +214,16 @@ class Whisker(Round, metaclass=Suggesting):
         k1, k3 = (0.0 if value is None else value for value in (self.lateral_curvature, self.twist))
         return jnp.stack([at_arc(k1, s), -self.curvature_at(s), at_arc(k3, s)])
 
-    def section(self, length_unit: Scalar, stiffness_unit: Scalar) -> Section:
-        """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI."""
+    def section(self, length_unit: Scalar, stiffness_unit: Scalar, *, heavy: bool = False) -> Section:
+        """Bending stiffness and intrinsic curvature along the whisker, in these units of length and EI.
+
+        If it is `heavy`, its mass per length is a part of it.
+        """
         one = jnp.asarray(1.0)  # an array, because the orientation of each whisker differs in a batch
         stiffness, curvature, breaks = self.bending_stiffness, self.intrinsic_curvature, self.breaks
         breaks = None if breaks is None else jnp.asarray(breaks)
-        return Section(stiffness, curvature, length_unit, stiffness_unit, one, breaks)
+        mass = self.mass_per_length if heavy else None
+        return Section(stiffness, curvature, length_unit, stiffness_unit, one, breaks, mass)
 
     def _largest_turn(self) -> Float[Array, ""]:
         """Largest angle between the unloaded whisker and the upright."""

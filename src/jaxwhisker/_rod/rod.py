@@ -39,6 +39,7 @@ class Section(eqx.Module):
     stiffness_unit: Scalar  # of EI, in the scene's units
     orientation: Scalar = 1.0  # -1.0 for the mirror image
     breaks: Along | None = None  # arc lengths at which EI or curvature jumps or has a kink, in the scene's units
+    mass_per_length: AlongRod | None = None  # in the scene's units; None if its weight does not matter
 
     def stiffness(self, s: Scalar) -> Float[Array, ""]:
         """EI at the arc length s from the base."""
@@ -49,6 +50,10 @@ class Section(eqx.Module):
         if self.intrinsic_curvature is None:
             return 0.0
         return self.orientation * at_arc(self.intrinsic_curvature, s * self.length_unit) * self.length_unit
+
+    def mass(self, s: Scalar) -> Float[Array, ""]:
+        """Mass per length at the arc length s from the base, in the scene's units."""
+        return at_arc(0.0 if self.mass_per_length is None else self.mass_per_length, s * self.length_unit)
 
     def total_curvature(self, moment: Scalar, s: Scalar) -> Scalar:
         """Curvature under a moment; a point without stiffness carries no moment and keeps its intrinsic curvature."""

@@ -50,7 +50,7 @@ class EnergyBalance(eqx.Module):
 
     control: Float[Array, "*batch steps"]  # drive position
     work: Float[Array, "*batch steps"]  # of the drive on whiskers and springs
-    stored: Float[Array, "*batch steps"]  # change of the elastic energy of whiskers and springs
+    stored: Float[Array, "*batch steps"]  # change of the energy of whiskers and springs, see `stored_energy`
     heat: Float[Array, "*batch steps whiskers"]  # of the friction of each contact; never falls
     loss: Float[Array, "*batch steps"]  # stored energy lost in snaps, including the heat of friction within them
     residual: Float[Array, "*batch steps"]  # work - stored - sum of heat - loss
@@ -164,7 +164,10 @@ def _power(scene: Scene, control: Float[Array, " at"], state: State) -> Float[Ar
 
 
 def _exerted(scene: Scene, control: Float[Array, " at"], state: State) -> tuple[Float[Array, "at whiskers"], ...]:
-    """Forces on each whisker by its base and all springs on its shaft, and their moment about the origin."""
+    """Forces on each whisker by its base and all springs on its shaft, and their moment about the origin.
+
+    The moment is that without weights, which only drives carry that do not turn.
+    """
     by = holds(scene)
     assert by is not None
 
@@ -174,7 +177,12 @@ def _exerted(scene: Scene, control: Float[Array, " at"], state: State) -> tuple[
         for k, (whisker, own) in enumerate(zip(scene.whiskers, every, strict=True)):
             at = jax.tree.map(lambda leaf, k=k: leaf[k], state)
             load = load_beyond(whisker, base_of(at), (at.fx, at.fy, at.mz), own)
-            each.append(jnp.stack([*map(jnp.asarray, (load.force_x, load.force_y, load.moment))]))
+            beyond = jnp.stack([*map(jnp.asarray, (load.force_x, load.force_y, load.moment))])
+            weight = own.held_by.weight
+            if weight is not None and own.section is not None:
+                top = jnp.maximum(own.held_by.top, 0.0)
+                beyond += jnp.stack([*weight.between(own.section, jnp.zeros(()), top), jnp.zeros(())])
+            each.append(beyond)
         return tuple(-jnp.stack(each).T)
 
     return jax.vmap(one)(control, state)

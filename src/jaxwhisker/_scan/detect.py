@@ -51,6 +51,7 @@ def kinds_of(scene: Scene) -> Kinds:
     possible = {
         "second_contact": scene.friction is not None
         or scene.support.on_shafts
+        or scene.gravity is not None
         or len(scene.profile.objects) > 1
         or not all(whisker.tapers for whisker in scene.whiskers),
         "crossing": len(scene.whiskers) > 1,

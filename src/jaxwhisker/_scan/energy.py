@@ -46,6 +46,8 @@ def stored_energy(scene: Scene, state: State, control: Control | None = None) ->
     does the work of the contact forces, dE = -sum(fx) dx - sum(fy) dy. At a snap, the drop in E is lost. With friction,
     contacts that slip turn some of the work into heat.
 
+    Whiskers with a weight also have its potential energy, which is zero at the origin.
+
     Springs that strain each other at rest store a constant energy. That of a loop of base springs whose rest lengths do
     not add up is not included; that of springs on shafts is.
 
@@ -53,21 +55,22 @@ def stored_energy(scene: Scene, state: State, control: Control | None = None) ->
         scene: the scanned scene.
         state: the Result of its scan, or the states `before` or `after` its events; NaN gives NaN.
         control: drive positions of these states, shape (steps,). Default: those of the Result. They are needed for
-            springs on shafts only.
+            springs on shafts and gravity only.
 
     Returns:
         Energy, force times length, shape (steps,): one value per step or event.
 
     Raises:
-        ValueError: if an argument has the wrong type, or if springs hold the shafts and `control` is missing.
+        ValueError: if an argument has the wrong type, or if springs hold the shafts or whiskers have a weight and
+            `control` is missing.
     """
     checks.instance("scene", scene, Scene, "a Scene")
     checks.instance("state", state, State, "a Result or a State")
     control = getattr(state, "control", None) if control is None else control
-    if not scene.support.on_shafts:
+    if holds(scene) is None:
         control = None
     elif control is None:
-        checks.fail("control", "given for states of a scene with springs on shafts", "None")
+        checks.fail("control", "given for states of a scene with springs on shafts or gravity", "None")
     return _energy_now(jax.tree.map(checks.as_float, scene), state_of(state), control)
 
 

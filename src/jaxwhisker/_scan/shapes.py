@@ -18,7 +18,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._scan.contacts import has_several, past_contacts
 from jaxwhisker._scan.result import AbstractResult, Result, SpaceResult, check_not_batched
-from jaxwhisker._scan.springs import Held, Holds, held, holds, outwards
+from jaxwhisker._scan.springs import Held, Holds, hanging, held, holds, outwards
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ PADDING = 64  # states are padded to a multiple of this, because figures and fil
 class Shapes(eqx.Module):
     """Centre lines of whiskers: along the last axis, equidistant points from base to contact, then the tip.
 
-    For whiskers with intrinsic curvature, half of the points lie between contact and tip. If a whisker has several
-    contacts, this is the outermost one. Steps that failed are NaN.
+    For whiskers with intrinsic curvature or a weight, half of the points lie between contact and tip. If a whisker has
+    several contacts, this is the outermost one. Steps that failed are NaN.
     """
 
     x: Float[Array, "*at whiskers points"]  # a length
@@ -149,8 +149,14 @@ def _line(whisker: Whisker, points: int, at: State, held: Held | None) -> tuple[
     if has_several(at):
         return _line_past_contacts(whisker, points, at)
     arc, reaction = jnp.where(at.phase == Phase.free, whisker.length, at.contact_arc), (at.fx, at.fy, at.mz)
-    loaded = points - 1 if whisker.intrinsic_curvature is None else points - points // 2
+    heavy = held if held is not None and held.section is not None else None
+    bent_beyond = heavy is not None or whisker.intrinsic_curvature is not None
+    loaded = points - points // 2 if bent_beyond else points - 1
     x, y, cos, sin = outwards(whisker, base_of(at), reaction, arc, held, count=loaded)
+    if heavy is not None:
+        s = arc + (whisker.length - arc) * jnp.linspace(0.0, 1.0, points - loaded + 1)[1:]
+        (tip_x, tip_y, _, _), _ = hanging(whisker, base_of(at), reaction, arc, s, heavy)
+        return jnp.append(x, tip_x), jnp.append(y, tip_y)
     # Beyond the contact the whisker is unloaded. If it is straight there, one more point suffices.
     end, nothing = (x[-1], y[-1], cos[-1], sin[-1]), rod.Load(None, jnp.zeros_like(arc), None)
     tip_x, tip_y, _, _ = rod.points(

@@ -25,6 +25,7 @@ from jaxwhisker._equilibrium.shaft_springs import (
     stretched,
     walk,
 )
+from jaxwhisker._equilibrium.weight import Gravity, weights_of
 from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted, pose_of
 from jaxwhisker._model.network import SpringEnds
 from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
@@ -32,6 +33,7 @@ from jaxwhisker._model.spring import AXES, POINTS, WEIGHTS
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
+from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.walk import Walk, pressed
 from jaxwhisker._scan.state import State, material
 
@@ -45,10 +47,11 @@ Reaction = tuple[Scalar, ...]  # fx, fy, mz
 
 
 class Holds(eqx.Module):
-    """What holds whiskers by springs on their shafts: support and motion of a scene; shared by all of its states."""
+    """What acts on the shafts of whiskers, by springs and weights: parts of a scene that all of its states share."""
 
     support: Support
     motion: AbstractMotion
+    gravity: Gravity | None = None
 
 
 class Suspension(NamedTuple):
@@ -57,21 +60,24 @@ class Suspension(NamedTuple):
     linear: SpringEnds  # and as many springs without ends as make up a common number
     motion: AbstractMotion
     mounts: tuple[Mount, ...] | None  # None if bases move along x only
-    support: Support | None  # None without springs on shafts, as the whiskers
+    support: Support | None  # None without springs on shafts, as the whiskers and the gravity
     whiskers: tuple[Whisker, ...] | None
+    gravity: Gravity | None = None
 
 
 class Held(NamedTuple):
-    """The springs on the shaft of one whisker, and the frame of the drive, in the scene's units."""
+    """The springs on the shaft of one whisker, its weight, and the frame of the drive, in the scene's units."""
 
     held_by: Attachments
     laws: Laws
     drive: Frame
+    section: Section | None = None  # of the whisker, if it has a weight
 
 
 def holds(scene: Scene | Sensor) -> Holds | None:
-    """What holds the whiskers of a scene or sensor by springs on their shafts; None without such springs."""
-    return Holds(scene.support, scene.motion) if scene.support.on_shafts else None
+    """What acts on the shafts of a scene's or sensor's whiskers; None without springs on shafts and gravity."""
+    gravity = getattr(scene, "gravity", None)
+    return Holds(scene.support, scene.motion, gravity) if scene.support.on_shafts or gravity is not None else None
 
 
 def suspension(scene: Scene) -> Suspension:
@@ -85,25 +91,32 @@ def suspension(scene: Scene) -> Suspension:
     mounts = None if along_x else jax.tree.map(checks.as_float, support.mounts)
     if not support.attached:
         return Suspension(ends, scene.motion.undirected(), mounts, None, None)
-    whiskers = tuple(whisker.without_masses() for whisker in scene.whiskers)
-    return Suspension(ends, scene.motion.undirected(), mounts, support, whiskers)
+    gravity, whiskers = scene.gravity, scene.whiskers
+    if gravity is None:
+        whiskers = tuple(whisker.without_masses() for whisker in whiskers)
+    return Suspension(ends, scene.motion.undirected(), mounts, support, whiskers, gravity)
 
 
 def held(
     by: Holds, whiskers: tuple[Whisker, ...], control: Scalar, loads: tuple[PerWhisker, ...] | None
 ) -> tuple[list[Held], OnShafts]:
-    """The springs on the shafts of all whiskers at a control, and with these `shaft_loads`."""
+    """What acts on the shafts of all whiskers at a control, and with these `shaft_loads`."""
     # Without units, everything is in those of the scene.
-    ones = [jnp.ones(()) for _ in Units._fields]
-    springs = attached(by.support, sections(whiskers, 1.0, 1.0), Units(*ones))
+    unit, heavy = Units(*[jnp.ones(()) for _ in Units._fields]), by.gravity is not None
+    own = sections(whiskers, 1.0, 1.0, heavy=heavy)
+    springs = attached(by.support, own, unit, weights_of(whiskers, by.gravity, unit))
     assert springs is not None
     drive = mounted(pose_of(by.motion, control), Pose(0.0, 0.0, 0.0))
     held_by = springs.held_by
     if springs.couplings is not None and loads:
         z = jnp.stack([*[jnp.zeros_like(loads[0])] * 3, *loads], axis=1)
         held_by = held_by._replace(given=given_by(springs.couplings, z, held_by))
-    each = [jax.tree.map(lambda leaf, k=k: leaf[k], held_by) for k in range(len(whiskers))]
-    return [Held(own, springs.laws, drive) for own in each], springs
+    each = []
+    for k in range(len(whiskers)):
+        section = own[k] if isinstance(own, tuple) else jax.tree.map(lambda leaf, k=k: leaf[k], own)
+        of_whisker = jax.tree.map(lambda leaf, k=k: leaf[k], held_by)
+        each.append(Held(of_whisker, springs.laws, drive, section if heavy else None))
+    return each, springs
 
 
 def outwards(
@@ -114,10 +127,8 @@ def outwards(
     if held is None:
         # A negative arc integrates away from the base.
         return rod.points(start, -arc, load, material(whisker), count=count, from_base=zero)
-    springs, points = held.held_by.with_places(arc * jnp.linspace(1.0, 0.0, count))
-    passed = walk_outwards(material(whisker), start, load, held._replace(held_by=springs), steps=1).passed
-    x, y, cos, sin = (values[points[::-1]] for values in passed)
-    return x, y, cos, sin
+    (x, y, cos, sin), _ = _at_places(whisker, base, reaction, arc * jnp.linspace(1.0, 0.0, count), held, steps=1)
+    return x[::-1], y[::-1], cos[::-1], sin[::-1]
 
 
 def at_arcs(
@@ -137,8 +148,25 @@ def at_base(base: Pose, reaction: Reaction) -> tuple[rod.RodState, rod.Load]:
     return start, pressed((base.x, base.y), -fx, -fy, -mz)
 
 
+def hanging(
+    whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, s: Float[Array, " points"], held: Held
+) -> tuple[rod.RodStates, rod.Load]:
+    """States of a whisker with a weight, and loads on it, at increasing arc lengths beyond its contact at `arc`."""
+    weight, section = held.held_by.weight, held.section
+    assert weight is not None and section is not None
+    passed, loads = _at_places(whisker, base, reaction, jnp.reshape(arc, 1), held, steps=WALK_STEPS)
+    (x, y, cos, sin), load = jax.tree.map(lambda leaf: leaf[0], (passed, loads))
+    # The contact takes up all of the force but the weight beyond, and no moment.
+    force_x, force_y = weight.between(section, arc, jnp.asarray(whisker.length))
+    force_x, force_y = force_x + weight.tip_mass * weight.x, force_y + weight.tip_mass * weight.y
+    own = pressed((x, y), force_x, force_y, jnp.asarray(rod.moment(x, y, load)))
+    found = weight.line((x, y, cos, sin), own, jnp.append(arc, s), section)
+    return jax.tree.map(lambda leaf: leaf[1:], found)
+
+
 def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, held: Held, *, steps: int) -> Walk:
     """A walk from the base past all springs; `passed` and `loads` are ordered from the tip to the base."""
+    material = material if held.section is None else held.section
     above = held.held_by.above
     springs, given = jax.tree.map(lambda leaf: leaf[::-1], (above.springs, above.given))
     held_by, zero = above._replace(springs=springs, given=given), jnp.zeros_like(springs.at[0])
@@ -148,22 +176,52 @@ def walk_outwards(material: rod.Material, start: rod.RodState, load: rod.Load, h
 
 
 def load_beyond(whisker: Whisker, base: Pose, reaction: Reaction, held: Held) -> rod.Load:
-    """The load on a whisker above all of its springs: that of the object."""
+    """The load on a whisker above all of its springs: that of the object, and the weight there."""
     return walk_outwards(material(whisker), *at_base(base, reaction), held, steps=WALK_STEPS).load
 
 
 def shaft_energy(whisker: Whisker, base: Pose, reaction: Reaction, arc: Scalar, held: Held) -> Float[Array, ""]:
-    """Elastic energy of a whisker and its foundation up to an arc length, by Gaussian quadrature between springs."""
+    """Energy of a whisker and its foundation up to an arc length, by Gaussian quadrature between springs.
+
+    With a weight, it is that of the whole whisker, and includes the potential energy, which is zero at the origin.
+    """
     places = held.held_by.springs.at if whisker.breaks is None else jnp.append(held.held_by.springs.at, whisker.breaks)
     inside = jnp.clip(places, 0.0, arc)
     ends = jnp.concatenate([jnp.zeros(1), jnp.sort(inside), jnp.reshape(arc, 1)])
     s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
     (x, y, _, _), load = _at_places(whisker, base, reaction, s, held)
+    energy = _shaft_energy(whisker, ends, s, x, y, load, held)
+    weight = held.held_by.weight
+    if weight is None:
+        return energy
+    length = jnp.asarray(whisker.length)
+    ends = jnp.clip(places, arc, length)
+    ends = jnp.concatenate([jnp.reshape(arc, 1), jnp.sort(ends), jnp.reshape(length, 1)])
+    s = jnp.ravel(ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS)
+    (x, y, _, _), load = hanging(whisker, base, reaction, arc, jnp.append(s, length), held)
+    tip = weight.tip_mass * (weight.x * x[-1] + weight.y * y[-1])
+    x, y, load = jax.tree.map(lambda leaf: leaf[:-1], (x, y, load))
+    return energy + _shaft_energy(whisker, ends, s, x, y, load, held) - tip
+
+
+def _shaft_energy(
+    whisker: Whisker,
+    ends: Float[Array, " ends"],
+    s: Float[Array, " points"],
+    x: Float[Array, " points"],
+    y: Float[Array, " points"],
+    load: rod.Load,
+    held: Held,
+) -> Float[Array, ""]:
+    """Energy of a part of a whisker, from its states at Gauss points."""
     moment, stiffness = rod.moment(x, y, load), jax.vmap(whisker.stiffness_at)(s)
     # A pointed tip has no stiffness and carries no moment.
     density = jnp.where(stiffness > 0, moment**2 / (2 * jnp.where(stiffness > 0, stiffness, 1.0)), 0.0)
     if held.held_by.tissue is not None:
         density += jax.vmap(partial(held.held_by.tissue.energy, held.drive))(x, y, s)
+    if held.held_by.weight is not None and held.section is not None:
+        push_x, push_y = jax.vmap(held.held_by.weight.density(held.section))(x, y, s)
+        density -= push_x * x + push_y * y
     return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
 
 
@@ -176,13 +234,17 @@ def moment_at(
 
 
 def _at_places(
-    whisker: Whisker, base: Pose, reaction: Reaction, s: Float[Array, " points"], held: Held
+    whisker: Whisker,
+    base: Pose,
+    reaction: Reaction,
+    s: Float[Array, " points"],
+    held: Held,
+    *,
+    steps: int = STEPS_TO_POINTS,
 ) -> tuple[rod.RodStates, rod.Load]:
     """States of the rod at these arc lengths, and the loads there."""
     held_by, places = held.held_by.with_places(s)
-    walked = walk_outwards(
-        material(whisker), *at_base(base, reaction), held._replace(held_by=held_by), steps=STEPS_TO_POINTS
-    )
+    walked = walk_outwards(material(whisker), *at_base(base, reaction), held._replace(held_by=held_by), steps=steps)
     return jax.tree.map(lambda leaf: leaf[places], (walked.passed, walked.loads))
 
 
@@ -292,7 +354,7 @@ def spring_length(by: Suspension, base: tuple[PerWhisker, ...], u: Scalar) -> Fl
     linear = _linear_lengths(by, base[:3], u)
     if by.support is None or by.whiskers is None:
         return linear
-    on = on_shafts(Holds(by.support, by.motion), by.whiskers, Pose(*base[:3]), base[3:], u)
+    on = on_shafts(Holds(by.support, by.motion, by.gravity), by.whiskers, Pose(*base[:3]), base[3:], u)
     attached, network = (one.length for one in on), iter(linear)
     return jnp.stack([next(network if spring.linear else attached) for spring in by.support.springs])
 

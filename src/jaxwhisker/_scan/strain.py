@@ -25,15 +25,15 @@ from jaxwhisker._rod.rod import Along
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
 from jaxwhisker._scan.contacts import has_several, of_whisker, past_contacts, with_axis_of_contacts
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
-from jaxwhisker._scan.springs import Held, Holds, held, holds, moment_at
+from jaxwhisker._scan.springs import Held, Holds, hanging, held, holds, moment_at
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
 
 INTERVALS = 64  # of a shaft, between which integration steps end; with a pointed tip, moments are exact to 1e-7
 
 
 class Bending(eqx.Module):
-    """How whiskers are bent at places on their shafts: zero beyond the outermost contact; NaN at steps that failed, and
-    at places that a whisker does not have.
+    """How whiskers are bent at places on their shafts; NaN at steps that failed, and at places that a whisker does not
+    have. Beyond the outermost contact, only its weight bends a whisker.
 
     In the plane, moments and curvatures are numbers, positive counter-clockwise. In space, a last axis has those about
     d1 and d2, the axes of the cross-section, and the torque and twist about d3, the tangent.
@@ -94,7 +94,7 @@ def strain(result: Any, at: Any, distance: Any, direction: Any = 0.0) -> Array:
 
     Returns:
         Array of shape (steps, whiskers, places), positive where the shaft is stretched; zero beyond the outermost
-        contact, NaN at steps that failed. Young's modulus times the strain is the stress.
+        contact without a weight, NaN at steps that failed. Young's modulus times the strain is the stress.
 
     Raises:
         ValueError: as `bending`, or if `distance` or `direction` is neither a number nor an array (places,).
@@ -170,5 +170,11 @@ def _moments(whisker: Whisker, state: State, at: Along, own: Held | None) -> Alo
         return moment[INTERVALS + 1 :]
     arc = jnp.where(state.phase == Phase.free, whisker.length, state.contact_arc)
     loaded = s < arc
-    moment = moment_at(whisker, base_of(state), (state.fx, state.fy, state.mz), jnp.where(loaded, s, arc), own)
-    return jnp.where(loaded, moment, 0.0)[INTERVALS + 1 :]
+    given = whisker, base_of(state), (state.fx, state.fy, state.mz)
+    moment = moment_at(*given, jnp.where(loaded, s, arc), own)
+    beyond = jnp.zeros(())
+    if own.section is not None:
+        order = jnp.argsort(s)
+        (x, y, _, _), load = hanging(*given, arc, jnp.maximum(s[order], arc), own)
+        beyond = jnp.asarray(rod.moment(x, y, load))[jnp.argsort(order)]
+    return jnp.where(loaded, moment, beyond)[INTERVALS + 1 :]
