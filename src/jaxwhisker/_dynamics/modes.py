@@ -171,6 +171,8 @@ def _check_masses(whiskers: tuple[Whisker, ...]) -> None:
 
 def _prepared(scene: Scene) -> tuple[Problem, tuple[Whisker, ...]]:
     _check_masses(scene.whiskers)
+    if scene.gravity is not None:
+        checks.fail("at", "one without gravity; vibrations about a `deflect` with gravity are known", str(scene))
     if scene.support.shaft_loads:
         checks.fail("at", "one without springs between the shafts of two whiskers", str(scene))
     warn_of_steps(scene, masses=True)

@@ -156,6 +156,8 @@ def _check_scene(scene: Any) -> None:
     for whisker in scene.whiskers:
         if whisker.mass_per_length is None:
             checks.fail("mass_per_length", "given for every whisker that moves", None)
+    if scene.gravity is not None:
+        checks.fail("scene", "one without gravity for a simulation", str(scene))
     allowed = "one without {} for a simulation"
     if scene.support.shaft_loads:
         checks.fail("support", allowed.format("springs between the shafts of two whiskers"), scene.support.name)

@@ -69,7 +69,7 @@ class _OfObject(type(eqx.Module)):
             if (detect := kwargs.pop("detect", None)) is not None:
                 checks.fail("detect", "None in space", repr(detect))
             if (gravity := kwargs.pop("gravity", None)) is not None:
-                checks.fail("gravity", "None in space", as_text(gravity))
+                checks.fail("gravity", "None in space", repr(gravity))
             if (contacts := kwargs.pop("contacts", 1)) != 1:
                 checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
@@ -185,7 +185,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         for is_there, name, allowed in unknown:
             if is_there:
                 value = getattr(self, name)
-                checks.fail(name, allowed, repr(value) if name == "detect" else as_text(value))
+                checks.fail(name, allowed, str(value) if name == "support" else repr(value))
 
     @property
     def objects(self) -> tuple[AbstractProfile, ...]:
@@ -203,7 +203,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
         contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
-        gravity = "" if self.gravity is None else f", gravity {as_text(self.gravity)}"
+        gravity = "" if self.gravity is None else f", gravity ({', '.join(map(as_text, self.gravity))})"
         parts = f"{self.profile}{whisker}{friction}{gravity}{rods}{motion}{detect}{contacts}"
         return f"{support_text(self.support)}, {parts}"
 
@@ -232,6 +232,7 @@ class Sensor(eqx.Module):
     support: Support = Support()
     motion: AbstractMotion = Translation()
     friction: Scalar | None = None
+    gravity = None  # sensors do not know the weight of their whiskers
 
     def __post_init__(self):
         self.support = in_row(self.whisker, self.support)

@@ -109,7 +109,8 @@ def lateral_stability(
 
     Raises:
         ValueError: if `result` is not the result of one scan, or an argument is out of its domain; if springs or
-            foundations hold the shafts, whose lateral stiffness is not known; if whiskers may have several contacts.
+            foundations hold the shafts, whose lateral stiffness is not known; if whiskers have a weight or may have
+            several contacts.
 
     Examples:
         >>> scene = jw.Scene(jw.Whisker(), jw.Circle(distance=0.3, radius=1.0), jw.Support())
@@ -204,6 +205,8 @@ def _zero(
 
 
 def _checked(scene: Scene, curvature, stiffness, tilt_stiffness, torsion_ratio) -> Lateral:
+    if scene.gravity is not None:
+        checks.fail("result", "that of a scene without gravity", str(scene))
     if scene.support.on_shafts:
         raise ValueError(
             "`result` must be that of a scene without springs or foundations on shafts, whose lateral stiffness is not "

@@ -76,8 +76,8 @@ class Held(NamedTuple):
 
 def holds(scene: Scene | Sensor) -> Holds | None:
     """What acts on the shafts of a scene's or sensor's whiskers; None without springs on shafts and gravity."""
-    gravity = getattr(scene, "gravity", None)
-    return Holds(scene.support, scene.motion, gravity) if scene.support.on_shafts or gravity is not None else None
+    acts = scene.support.on_shafts or scene.gravity is not None
+    return Holds(scene.support, scene.motion, scene.gravity) if acts else None
 
 
 def suspension(scene: Scene) -> Suspension:

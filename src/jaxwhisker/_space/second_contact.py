@@ -7,11 +7,14 @@ another one, or slide onto it. What they meet on the way of a jump, jumps.py tel
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
+from jaxwhisker._base.interpolation import between
 from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._path.path import Path, Status, cut
 from jaxwhisker._space.contact import POINT
+from jaxwhisker._space.free import CentreLine
 from jaxwhisker._space.jumps import DEPTH, distances
 from jaxwhisker._space.newton import Phases
 from jaxwhisker._space.problem import Contacts, SpaceProblem, of_each
@@ -19,6 +22,15 @@ from jaxwhisker._space.shape import shape
 
 BATCH = 32  # nodes of a path searched at once
 JUST_BEFORE = 1e-9  # of the way from a node to the next one
+PARTS = 16  # of each interval of a whisker: between its points, an edge of radius r is deeper by 1e-6 / r at most
+
+
+def depth(surface: AbstractSurface, line: CentreLine) -> Float[Array, ""]:
+    """How deep a whisker is inside an object, at many points along it; negative outside."""
+    cubics = between(line.position, line.tangent, line.spacing[:, None])
+    inside = cubics.value(jnp.arange(PARTS)[:, None, None] / PARTS)
+    points = jnp.concatenate([inside.reshape(-1, 3), line.position[-1:]])
+    return jnp.max(-jax.vmap(surface.off)(points))
 
 
 def touches_twice(problem: SpaceProblem, z: Contacts, phase: Phases) -> Bool[Array, ""]:
@@ -29,7 +41,7 @@ def touches_twice(problem: SpaceProblem, z: Contacts, phase: Phases) -> Bool[Arr
 
     def meets(body, z, phase):
         line = shape(problem, body, z, phase)
-        own = surface.of_each(lambda one: jnp.max(-jax.vmap(one.off)(line.position)))
+        own = surface.of_each(lambda one: depth(one, line))
         if len(surface.objects) == 1:
             return own[0] > DEPTH
         touched = surface.object_of(z[POINT]) == jnp.arange(own.size)
