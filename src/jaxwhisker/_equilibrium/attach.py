@@ -192,13 +192,13 @@ def _with_springs(
     return eqx.tree_at(lambda p: p.attached, problem, attached, is_leaf=lambda leaf: leaf is None)
 
 
-def _weakened(springs: OnShafts, share: Scalar) -> OnShafts:
-    """The springs with this share of all tensions."""
+def _weakened(springs: OnShafts, share: Scalar, heavy: Scalar) -> OnShafts:
+    """The springs with a share of all tensions, and the whiskers with one of their weights."""
     couplings = springs.couplings
     if couplings is not None:
         spring = couplings.spring
         couplings = couplings._replace(spring=spring._replace(share=share * spring.share))
-    return springs._replace(held_by=springs.held_by.weakened(share), couplings=couplings)
+    return springs._replace(held_by=springs.held_by.weakened(share, heavy), couplings=couplings)
 
 
 def _solved(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 3"]) -> tuple[Contacts, Poses]:
@@ -207,14 +207,18 @@ def _solved(problem: InPlane, springs: OnShafts, held: Float[Array, "whiskers 3 
     state = all_free(problem, jnp.ones_like(problem.length))
     unbent, none = _unbent(problem, u), jnp.zeros_like(problem.rest(u))
 
-    def grown(carry, share):
-        contact, _, _ = carry
-        problem_then = _with_springs(problem, _weakened(springs, share), share * held, contact, none)
+    def grown(carry, shares):
+        (contact, _, _), (share, heavy) = carry, shares
+        problem_then = _with_springs(problem, _weakened(springs, share, heavy), share * held, contact, none)
         solution = solve_point(problem_then, state, at_control(u, contact), Point(contact, u))
         return (solution.point.z, solution.newton.pose, solution.converged), None
 
     start = springs.blank.at[:, :3].set(unbent), none, jnp.asarray(False)
-    (contact, pose, found), _ = jax.lax.scan(grown, start, SHARES)
+    shares, heavy = SHARES, np.zeros(SHARES.size)
+    if springs.held_by.weight is not None:
+        # Weak springs would not hold it.
+        shares, heavy = np.append(shares, np.ones(SHARES.size)), np.append(heavy, SHARES)
+    (contact, pose, found), _ = jax.lax.scan(grown, start, (shares, heavy))
     return jnp.where(found, contact, jnp.nan), pose - problem.rest(u)
 
 

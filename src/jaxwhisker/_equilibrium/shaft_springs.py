@@ -122,12 +122,12 @@ class Attachments(NamedTuple):
         """Arc length from the base to the uppermost spring."""
         return jnp.max(self.springs.at, axis=-1)
 
-    def weakened(self, share: Scalar) -> "Attachments":
-        """The same with this share of all forces."""
+    def weakened(self, share: Scalar, heavy: Scalar = 1.0) -> "Attachments":
+        """The same with a share of the forces of springs and tissue, and one of the weight."""
         springs = self.springs._replace(share=share * self.springs.share)
         tissue, weight = self.tissue, self.weight
         tissue = None if tissue is None else tissue._replace(stiffness=share * tissue.stiffness)
-        return self._replace(springs=springs, tissue=tissue, weight=None if weight is None else weight.weakened(share))
+        return self._replace(springs=springs, tissue=tissue, weight=None if weight is None else weight.weakened(heavy))
 
 
 def tension_of(spring: ShaftSprings, laws: Laws, length: Scalar) -> Scalar:
