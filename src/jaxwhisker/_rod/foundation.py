@@ -6,23 +6,18 @@ origin, so that the internal moment remains an affine function of position.
 
 from collections.abc import Callable
 
-import diffrax
-import jax
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, moment, one_sided, step_ends, with_breaks
+from jaxwhisker._rod.runge_kutta import runge_kutta
 
 # Force on the rod per length, along x and y, at a position and an arc length from the base.
 Density = Callable[[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]
-
-# Dormand and Prince's method of order 8, without the stage that is only needed for an error estimate.
-_TABLEAU = diffrax.Dopri8.tableau
-STAGES = len(_TABLEAU.b_sol) - 1
-TIMES = np.array([0.0, *_TABLEAU.c])[:STAGES]
-WEIGHTS = np.array([np.pad(row, (0, STAGES - len(row))) for row in ([], *_TABLEAU.a_lower)][:STAGES])
-TOTAL = np.array(_TABLEAU.b_sol[:STAGES])
+DeadDensity = Callable[
+    [Scalar], Float[Array, "3"]
+]  # along x, y and z, at an arc length: it does not depend on position
 
 
 def integrate_on(
@@ -70,20 +65,7 @@ def integrate_on(
             arc * (x * push_y - y * push_x),
         ])  # fmt: skip
 
-    def step(values, each):
-        start, stop, between = each
-        size = stop - start
-
-        def stage(rates, row):
-            k, time, weights = row
-            here = values + jnp.sum(weights[:, None] * rates, axis=0) * size
-            return rates.at[k].set(towards_base(start + time * size, here, between)), None
-
-        # A loop of diffrax over the stages has derivatives in one mode only.
-        rates, _ = jax.lax.scan(stage, jnp.zeros((STAGES, values.size)), (np.arange(STAGES), TIMES, WEIGHTS))
-        return values + jnp.sum(TOTAL[:, None] * rates, axis=0) * size, None
-
     loads = load.force_x, load.force_y, load.moment
     values = jnp.stack([jnp.asarray(value, dtype=float) for value in (*start, *loads)])
-    (x, y, cos, sin, *loads), _ = jax.lax.scan(step, values, (times[:-1], times[1:], between))
+    x, y, cos, sin, *loads = runge_kutta(towards_base, values, times, between)
     return (x, y, cos, sin), Load(loads[0], loads[1], loads[2])
