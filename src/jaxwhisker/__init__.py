@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from jaxwhisker._inverse.reconstruct import reconstruct
     from jaxwhisker._inverse.statistics import FitStatus
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
-    from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
+    from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce, SpaceMoment
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
     from jaxwhisker._model.rounded import Capsule, RoundedBox
     from jaxwhisker._model.solids import Extruded, Revolved, Surface
@@ -129,6 +129,7 @@ __all__ = [
     "Simulation",
     "SpaceDeflection",
     "SpaceForce",
+    "SpaceMoment",
     "SpaceReconstruction",
     "SpaceResult",
     "SpaceScene",
@@ -204,7 +205,7 @@ _LATER = {
     "_inverse.reconstruct": ("reconstruct",),
     "_inverse.statistics": ("FitStatus",),
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
-    "_model.loads": ("LineLoad", "PointForce", "PointMoment", "SpaceForce"),
+    "_model.loads": ("LineLoad", "PointForce", "PointMoment", "SpaceForce", "SpaceMoment"),
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Plane", "Sphere"),
     "_model.rounded": ("Capsule", "RoundedBox"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),

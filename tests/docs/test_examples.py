@@ -12,7 +12,7 @@ import jaxwhisker as jw
 # Users start with these names; each must have an example.
 ILLUSTRATED = [
     *("Circle", "ClosedForm", "Contour", "Deflection", "Ellipse", "Graph", "Motion", "Mount", "Parabola", "PointForce"),
-    *("LinearDrive", "Sphere", "SpaceForce", "SpaceScene", "WhiskDrive"),
+    *("LinearDrive", "Sphere", "SpaceForce", "SpaceMoment", "SpaceScene", "WhiskDrive"),
     *("PointMoment", "Rotation", "Scene", "Sensor", "Shooting", "Spring", "Support", "Tilted", "Translation"),
     *("Whisker", "Whisker.conical", "Whisker.from_material", "Whisker.rat", "deflect"),
 ]

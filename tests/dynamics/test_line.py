@@ -15,7 +15,7 @@ import jaxwhisker as jw
 from jaxwhisker._dynamics.elements import POINTS
 from jaxwhisker._dynamics.line import LOADS, DeadLoads, Equilibrium, ends_of, line_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject
-from jaxwhisker._scan.applied_loads import ScaledLineLoad
+from jaxwhisker._equilibrium.line_loads import ScaledLineLoad
 
 EXACT = 1e-9  # of integrated rods
 STIFFNESS, LENGTH, ARC, PLACE = 1.3, 1.1, 0.8, 0.35

@@ -1,4 +1,4 @@
-"""Given loads: their units and order, weights, and forces and moments past which a whisker is walked, by statics."""
+"""Given loads at points: their units and order, and forces and moments past which a whisker is walked, by statics."""
 
 import jax
 import jax.numpy as jnp
@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
-from jaxwhisker._model.along import LinearTaper
 from jaxwhisker._rod.rod import Load
-from jaxwhisker._scan.applied_loads import Loads, density_of, lines_of, sorted_loads, weight_of, with_load
+from jaxwhisker._scan.applied_loads import Loads, sorted_loads, with_load
 
 EXACT = 1e-13
 LENGTH, STIFFNESS = 0.05, 2.4e-5
@@ -36,46 +35,6 @@ def test_without_loads_at_points_there_is_one_of_zero_at_the_tip():
     for loads in ((), (jw.LineLoad(1.0),)):
         rows = sorted_loads(WHISKER, loads)
         assert [leaf.tolist() for leaf in jax.tree.leaves(rows)] == [[0.0], [0.0], [0.0], [0.0], [1.0]]
-
-
-def test_distributed_loads_are_dimensionless():
-    whole, part = lines_of(
-        WHISKER, (jw.PointForce(1.0), jw.LineLoad(y=-0.3), jw.LineLoad(LinearTaper(1.0, 3.0, 0.05), 0.2, 0.01, 0.04))
-    )
-    assert [float(v) for v in (whole.start, whole.stop)] == [0.0, 1.0]
-    np.testing.assert_allclose(np.array([part.start, part.stop]), [0.2, 0.8], rtol=EXACT)
-    unit = STIFFNESS / LENGTH**3
-    np.testing.assert_allclose(whole.density(jnp.asarray(0.3)), [0.0, -0.3 / unit], rtol=EXACT)
-    np.testing.assert_allclose(part.density(jnp.asarray(0.7)), [2.4 / unit, 0.2 / unit], rtol=EXACT)
-    stretches = [(0.0, 0.2), (0.2, 0.5), (0.8, 0.5), (0.8, 1.0)]
-    assert [float(part.between(*map(jnp.asarray, ends))) for ends in stretches] == [0.0, 1.0, 1.0, 0.0]
-
-
-def test_distributed_loads_add_up_where_a_stretch_lies_on_them():
-    assert density_of((), 0.0, 1.0) is None
-    lines = lines_of(WHISKER, (jw.LineLoad(y=-0.3), jw.LineLoad(LinearTaper(1.0, 3.0, 0.05), 0.2, 0.01, 0.04)))
-    unit, zero, s = STIFFNESS / LENGTH**3, jnp.zeros(()), jnp.asarray(0.7)
-    on_both, on_one = density_of(lines, 0.6, 0.8, 0.5), density_of(lines, 0.8, 1.0)
-    assert on_both is not None and on_one is not None
-    np.testing.assert_allclose(jnp.stack(on_both(zero, zero, s)), np.array([1.2, -0.05]) / unit, rtol=EXACT)
-    np.testing.assert_allclose(jnp.stack(on_one(zero, zero, s)), np.array([0.0, -0.3]) / unit, rtol=EXACT)
-
-
-def test_the_weight_is_that_of_the_whisker_and_its_tip():
-    gravity = (3.0, -9.0)
-    whisker = jw.Whisker(
-        LENGTH, STIFFNESS, mass_per_length=LinearTaper(2e-3, 1e-3, LENGTH), tip_mass=4e-5, base_mass=7.0
-    )
-    line, *points = weight_of(whisker, gravity)
-    assert isinstance(line, jw.LineLoad) and len(points) == 2
-    x, y = (part(0.02) for part in (line.x, line.y))  # pyright: ignore[reportCallIssue]
-    np.testing.assert_allclose([x, y], np.array(gravity) * (2e-3 - 1e-3 * 0.4), rtol=EXACT)
-    total = np.zeros(3)
-    for load in points:
-        assert isinstance(load, jw.PointForce) and load.position is None and not load.follower
-        total += np.array(float(load.force)) * np.array([np.cos(load.direction), np.sin(load.direction), 0.0])
-    np.testing.assert_allclose(total, [4e-5 * 3.0, -4e-5 * 9.0, 0.0], atol=EXACT)
-    assert len(weight_of(jw.Whisker(LENGTH, mass_per_length=2e-3), gravity)) == 1
 
 
 @jax.jit

@@ -238,11 +238,11 @@ def test_shapes_have_points_on_each_stretch():
         (lambda: jw.deflect("whisker", jw.PointForce(1.0)), "`whisker` must be a Whisker, got 'whisker'"),  # pyright: ignore
         (
             lambda: jw.deflect(jw.Whisker()),
-            r"`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got \(\)",
+            r"`loads` must be one or more of PointForce, PointMoment, LineLoad, SpaceForce and SpaceMoment, got \(\)",
         ),
         (
             lambda: jw.deflect(jw.Whisker(), 3.0),  # pyright: ignore
-            "`loads` must be one or more of PointForce, PointMoment, LineLoad and SpaceForce, got",
+            "`loads` must be one or more of PointForce, PointMoment, LineLoad, SpaceForce and SpaceMoment, got",
         ),
         (
             lambda: jw.deflect(jw.Whisker(), jw.PointForce(1.0, 1.5)),

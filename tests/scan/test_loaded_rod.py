@@ -102,5 +102,5 @@ def test_the_unknowns_of_a_curved_whisker_without_loads_and_the_size_of_loads():
     assert top == 0.75 and unbent[0] == pytest.approx(UPRIGHT + 0.1 * 1.5 + 0.3 / LENGTH * 1.5**2 / 2, abs=EXACT)
     assert load == pytest.approx(0.3 * LENGTH**2 / STIFFNESS + 0.2 * LENGTH / STIFFNESS + LEAST_LOAD)
     assert end == 1.0 and straight[0] == pytest.approx(UPRIGHT)
-    # The mean of the sizes along x and y, times the length of the loaded part.
-    assert spread == pytest.approx((0.3 + 0.4) / 2 * 1.5 * LENGTH**2 / STIFFNESS + LEAST_LOAD)
+    # The sum of the sizes along x and y, times the length of the loaded part.
+    assert spread == pytest.approx((0.3 + 0.4) * 1.5 * LENGTH**2 / STIFFNESS + LEAST_LOAD)

@@ -173,12 +173,9 @@ def test_traced_values_outside_their_domain_are_invalid():
 @pytest.mark.parametrize(
     ("loads", "options", "message"),
     [
-        ((jw.PointMoment(0.1),), {}, "moments and line loads act in the plane only"),
-        ((jw.LineLoad(0.1),), {}, "moments and line loads act in the plane only"),
-        ((jw.PointForce(0.1, follower=True),), {}, "followers act in the plane only"),
         ((), {"support": jw.Support.fb(70.0)}, "`support` must be an upright clamp"),
         ((), {"support": jw.Support(mount=jw.Mount(angle=0.1))}, "`support` must be an upright clamp"),
-        ((), {"gravity": (0.0, -1.0)}, "distributed loads act in the plane only"),
+        ((), {"gravity": (0.0, -1.0)}, "`mass_per_length` must be given for a whisker with a weight"),
         ((SpaceForce(0.1, 0.0, 0.1, 1.5),), {}, "`position` must be at most the length"),
     ],
 )

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._base.linear_algebra import solve
+from jaxwhisker._base.linear_algebra import determinant, solve
 from jaxwhisker._base.types import Scalar
 
 FIRST, SHORTEST = 0.047, 1e-6  # steps along the curve
@@ -90,8 +90,8 @@ def follow(
         apart = jnp.sqrt(jnp.sum((at - predicted) ** 2))
         solution = change < CONVERGED
         near = solution & (apart <= NEAR * length) & (tangent @ curve.tangent > STRAIGHT) & (missed[0] < MISSED)
-        determinant = jnp.linalg.det(slope[:, :-1])
-        stable = determinant > 0
+        size = determinant(slope[:, :-1])
+        stable = size > 0
         accepted = stable & (near | (begins & solution))
         short = curve.step < SHORTEST
         longer = jnp.where(apart <= NEAR / 4 * length, GROWTH, 1.0) * curve.step
@@ -101,7 +101,7 @@ def follow(
             jnp.where(accepted, jnp.where(last, at.at[-1].set(load), at), curve.at),
             jnp.where(accepted, tangent, curve.tangent),
             step,
-            curve.lost | (~accepted & short & solution & ~stable & (determinant > -VANISHES)),
+            curve.lost | (~accepted & short & solution & ~stable & (size > -VANISHES)),
             curve.count + 1 + jnp.where(~accepted & short, MOST, 0),
         )
 

@@ -10,11 +10,11 @@ from jaxtyping import Array, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._dynamics.elements import POINTS, node_arcs
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, material_of
+from jaxwhisker._equilibrium.line_loads import ScaledLineLoad, density_of, ends_of_lines
 from jaxwhisker._equilibrium.shaft_springs import ShaftSprings, past, to_next
 from jaxwhisker._model.motion import Pose
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.walk import Order, in_order, pressed, walk
-from jaxwhisker._scan.applied_loads import ScaledLineLoad, density_of, ends_of_lines
 from jaxwhisker._scan.springs import at_base
 
 AT = np.concatenate([[0.0], POINTS, [1.0]])

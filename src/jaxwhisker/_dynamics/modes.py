@@ -19,6 +19,7 @@ from jaxwhisker._dynamics.vibration import mass_unit, vibration
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import all_free
 from jaxwhisker._equilibrium.dimensionless import problem_of
+from jaxwhisker._equilibrium.line_loads import lines_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._model.conic import Parabola
 from jaxwhisker._model.loads import PointForce
@@ -26,7 +27,7 @@ from jaxwhisker._model.scene import Scene, Sensor
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.path import Status
-from jaxwhisker._scan.applied_loads import lines_of, sorted_loads
+from jaxwhisker._scan.applied_loads import sorted_loads
 from jaxwhisker._scan.blocks import in_blocks
 from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.deflect import Deflection

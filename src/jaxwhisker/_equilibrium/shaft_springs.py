@@ -21,7 +21,7 @@ from jaxwhisker._equilibrium.weight import Weight
 from jaxwhisker._model.motion import Frame
 from jaxwhisker._model.spring import AXES
 from jaxwhisker._rod.elastica import Shooting
-from jaxwhisker._rod.foundation import Density, integrate_on
+from jaxwhisker._rod.foundation import DeadDensity, Density, integrate_on
 from jaxwhisker._rod.rod import Load, Material, RodState, Section, integrate
 from jaxwhisker._rod.walk import Walk, in_order, pressed
 from jaxwhisker._rod.walk import walk as walk_past
@@ -218,15 +218,17 @@ def to_next(
     *,
     steps: int,
     solver: diffrax.AbstractSolver | None = None,
-    given: Density | None = None,
+    given: DeadDensity | None = None,
 ) -> tuple[RodState, Load]:
     """State of the rod and the load on it at arc length `stop`, from those at `s`; no spring is between them.
 
-    The piece of the rod lies on the foundation, or nothing of it does. `given` is a further force per length on it.
+    The piece of the rod lies on the foundation, or nothing of it does. `given` is a further dead load on it.
     """
     if tissue is None and given is None:
         return integrate(state, s - stop, load, material, steps=steps, solver=solver, from_base=s), load
-    acting = [] if given is None else [given]
+    acting: list[Density] = []
+    if given is not None:
+        acting.append(lambda x, y, along: (given(along)[0], given(along)[1]))
     if tissue is not None and drive is not None:
         on = tissue._replace(stiffness=tissue.share((s + stop) / 2) * tissue.stiffness)
         acting.append(partial(on.density, drive))

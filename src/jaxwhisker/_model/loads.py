@@ -1,4 +1,8 @@
-"""Loads on a whisker: forces and moments at points along it, and forces distributed along it."""
+"""Loads on a whisker: forces and moments at points along it, and forces distributed along it.
+
+A direction in the plane is an angle (PointForce). In space, forces and moments have components (SpaceForce,
+SpaceMoment). A LineLoad has components in the plane already, and takes one more in space.
+"""
 
 import math
 
@@ -11,7 +15,7 @@ from jaxwhisker._rod.rod import AlongRod
 
 
 class PointForce(eqx.Module):
-    """A force at one point of the whisker.
+    """A force in the plane at one point of the whisker.
 
     Args:
         force: magnitude, a force (in EI/L^2 with the default whisker).
@@ -42,7 +46,7 @@ class PointForce(eqx.Module):
 
 
 class PointMoment(eqx.Module):
-    """A moment at one point of the whisker.
+    """A moment about z at one point of the whisker.
 
     Args:
         moment: magnitude, force times length (in EI/L with the default whisker), positive counter-clockwise.
@@ -67,13 +71,15 @@ class PointMoment(eqx.Module):
 
 
 class SpaceForce(eqx.Module):
-    """A force in space at one point of the whisker, which keeps its direction.
+    """A force in space at one point of the whisker.
 
     Args:
-        fx: force along x (in EI/L^2 with the default whisker).
-        fy: force along y, likewise.
-        fz: force along z, out of the plane, likewise.
+        fx: force along x (in EI/L^2 with the default whisker). That of a follower is the component along x before the
+            whisker bends, along d1 of the cross-section.
+        fy: force along y, likewise; along the tangent.
+        fz: force along z, out of the plane, likewise; against d2.
         position: arc length from the base to the point, a length; positive. Default: the tip.
+        follower: whether the force turns with the cross-section; otherwise it keeps its direction (a dead load).
 
     Raises:
         ValueError: if a value is not a finite number, or the position is not positive.
@@ -88,10 +94,49 @@ class SpaceForce(eqx.Module):
     fy: Scalar
     fz: Scalar
     position: Scalar | None = None
+    follower: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
         for name in ("fx", "fy", "fz"):
             checks.number(name, getattr(self, name))
+        checks.instance("follower", self.follower, bool, "True or False")
+        if self.position is not None:
+            checks.number("position", self.position, positive=True)
+
+
+class SpaceMoment(eqx.Module):
+    """A moment in space at one point of the whisker.
+
+    A moment that keeps its direction has no potential, and neither has one that turns with the whisker: their work
+    depends on the order of rotations.
+
+    Args:
+        mx: moment about x, force times length (in EI/L with the default whisker), right-handed. That of a follower is
+            the component about x before the whisker bends, about d1 of the cross-section.
+        my: moment about y, likewise; about the tangent: it twists the whisker.
+        mz: moment about z, likewise, as that of a PointMoment; against d2.
+        position: arc length from the base to the point, a length; positive. Default: the tip.
+        follower: whether the moment turns with the cross-section; otherwise it keeps its direction (a dead load).
+
+    Raises:
+        ValueError: if a value is not a finite number, or the position is not positive.
+
+    Examples:
+        >>> twisted = jw.deflect(jw.Whisker(torsion_ratio=0.8), jw.SpaceMoment(0.0, 0.4, 0.0))
+        >>> print(f"{twisted.curvature[0, 2]:.3f}")  # twist M / C, with C = 0.8 EI
+        0.500
+    """
+
+    mx: Scalar
+    my: Scalar
+    mz: Scalar
+    position: Scalar | None = None
+    follower: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        for name in ("mx", "my", "mz"):
+            checks.number(name, getattr(self, name))
+        checks.instance("follower", self.follower, bool, "True or False")
         if self.position is not None:
             checks.number("position", self.position, positive=True)
 
@@ -105,6 +150,7 @@ class LineLoad(eqx.Module):
         y: force per length along y, likewise.
         start: arc length from the base to the beginning of the loaded part, a length; not negative.
         stop: arc length from the base to its end, a length; greater than `start`. Default: the tip.
+        z: force per length along z, likewise; with it, the whisker bends in space. Default: none, in the plane.
 
     Raises:
         ValueError: if a number is not finite, JAX cannot trace a function with one number as its argument, or `start`
@@ -120,10 +166,11 @@ class LineLoad(eqx.Module):
     y: AlongRod = eqx.field(default=0.0, converter=number_or_function("y"))
     start: Scalar = 0.0
     stop: Scalar | None = None
+    z: AlongRod | None = eqx.field(default=None, converter=number_or_function("z"))
 
     def __check_init__(self):
-        for name in ("x", "y"):
-            if not callable(getattr(self, name)):
+        for name in ("x", "y", "z"):
+            if getattr(self, name) is not None and not callable(getattr(self, name)):
                 checks.number(name, getattr(self, name))
         checks.number("start", self.start, non_negative=True)
         if self.stop is not None:

@@ -1,6 +1,6 @@
 """Deflection of one whisker under given loads: forces and moments at points along it, and forces per length."""
 
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypeGuard, overload
 
 import equinox as eqx
 import jax
@@ -10,12 +10,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._base.settings import with_own_settings
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce
+from jaxwhisker._equilibrium.line_loads import weight_of
+from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce, SpaceMoment
 from jaxwhisker._model.scene import check_in_plane
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.deflection import ROD_STEPS, AbstractLoadCase, deflected
-from jaxwhisker._scan.applied_loads import Given, weight_of
+from jaxwhisker._scan.applied_loads import Given
 from jaxwhisker._scan.loaded_rod import LoadedRod, bent, loaded_rod
 from jaxwhisker._scan.resolution import warn_of_whisker
 
@@ -70,7 +71,7 @@ class PlaneLoadCase(AbstractLoadCase):
         valid = self.whisker.valid() & self.support.valid() & checks.all_finite(rods.loads)
         valid &= jnp.all((rods.loads.position > 0) & (rods.loads.position <= 1))
         for line in rods.lines:
-            valid &= (line.start >= 0) & (line.stop > line.start) & (line.stop <= 1)
+            valid &= line.inside
         for _, _, place in self.support.attachments():
             valid &= jnp.asarray(place) < self.whisker.length
         return valid
@@ -110,13 +111,18 @@ def deflect(
     points: int = 101,
 ) -> Deflection: ...
 @overload
-def deflect(whisker: Whisker, *loads: PointForce | SpaceForce, points: int = 101) -> "SpaceDeflection": ...
+def deflect(
+    whisker: Whisker,
+    *loads: PointForce | PointMoment | LineLoad | SpaceForce | SpaceMoment,
+    gravity: tuple[Scalar, Scalar] | tuple[Scalar, Scalar, Scalar] | None = None,
+    points: int = 101,
+) -> "SpaceDeflection": ...
 @with_own_settings
 def deflect(
     whisker: Whisker,
-    *loads: PointForce | PointMoment | LineLoad | SpaceForce,
+    *loads: PointForce | PointMoment | LineLoad | SpaceForce | SpaceMoment,
     support: Support = CLAMP,
-    gravity: tuple[Scalar, Scalar] | None = None,
+    gravity: tuple[Scalar, Scalar] | tuple[Scalar, Scalar, Scalar] | None = None,
     points: int = 101,
 ) -> Any:
     """Reaction and shape of a whisker under given loads, clamped at (0, 0) along +y or on a support.
@@ -127,18 +133,21 @@ def deflect(
         whisker: the whisker.
         *loads: any number of PointForce, PointMoment and LineLoad, in any order; at least one without `gravity`. Their
             directions refer to the upright whisker at rest, also if it is mounted at an angle; a dead load keeps its
-            direction. With a SpaceForce, a clamped whisker bends in space, and all loads must be dead forces.
+            direction. A clamped whisker bends in space if one load is a SpaceForce, a SpaceMoment or a LineLoad with a
+            component along z, or if it is curved or twisted in space.
         support: support of one whisker, with the drive at (0, 0). Default: a clamp. Springs on the shaft grow from zero
             before the loads do. fx, fy and mz are then what the shaft carries at its base, as in a scan.
-        gravity: acceleration along x and y, whose weight of the whisker's `mass_per_length` and `tip_mass` is added to
-            the loads: (0.0, -9.81) for a whisker in SI units that stands upright. The weight of the `base_mass` does
-            not load the whisker and is left out. Default: no weight.
+        gravity: acceleration along x and y, and z in space, whose weight of the whisker's `mass_per_length` and
+            `tip_mass` is added to the loads: (0.0, -9.81) for a whisker in SI units that stands upright. The weight of
+            the `base_mass` does not load the whisker and is left out. Default: no weight.
         points: number of points on each stretch between point loads, and between a load and the base; at least 2.
 
     Returns:
         A Deflection, or a SpaceDeflection of a whisker that bends in space. Its values are NaN with status `unstable`
         if the whisker loses its stability before the full load is reached: it would snap, or buckle to either side.
-        They are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a few hundred
+        Moments in space and followers have no potential: in the plane, stability is lost where another equilibrium
+        begins, and in space where a disturbance grows that a damping in proportion to the stiffness resists, without
+        inertia. The values are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a few hundred
         EI/L^2) or no equilibrium is found, and with status `invalid` if a traced parameter is outside its domain or a
         traced load or spring is beyond the tip.
 
@@ -161,9 +170,11 @@ def deflect(
     """
     checks.float64_mode()
     checks.instance("whisker", whisker, Whisker, "a Whisker")
-    kinds = PointForce | PointMoment | LineLoad | SpaceForce
+    kinds = PointForce | PointMoment | LineLoad | SpaceForce | SpaceMoment
     if not all(isinstance(load, kinds) for load in loads) or not (loads or gravity):
-        checks.fail("loads", "one or more of PointForce, PointMoment, LineLoad and SpaceForce", repr(loads))
+        checks.fail(
+            "loads", "one or more of PointForce, PointMoment, LineLoad, SpaceForce and SpaceMoment", repr(loads)
+        )
     if not isinstance(support, Support) or support.whiskers != 1:
         checks.fail("support", "a Support of one whisker", repr(support))
     checks.count("points", points, least=2)
@@ -181,22 +192,27 @@ def deflect(
         start = load.start if isinstance(load, LineLoad) else 0.0
         if not checks.is_traced((start, whisker)) and float(start) >= float(whisker.length):
             checks.fail("start", f"less than the length {whisker.length}", start)
-    given: Given = tuple(load for load in loads if not isinstance(load, SpaceForce))
-    if whisker.needs_space or len(given) < len(loads):
+    if gravity is not None:
+        (checks.triple if isinstance(gravity, tuple) and len(gravity) == 3 else checks.pair)("gravity", gravity)
+        if whisker.mass_per_length is None:
+            checks.fail("mass_per_length", "given for a whisker with a weight", "None")
+    given: Given = tuple(load for load in loads if _is_in_plane(load))
+    if whisker.needs_space or len(given) < len(loads) or (gravity is not None and len(gravity) == 3):
         from jaxwhisker._space.deflect import deflect_in_space
 
         warn_of_whisker(whisker, ROD_STEPS)
         return deflect_in_space(whisker, loads, support, gravity, points)
     check_in_plane((whisker,), support)
     if gravity is not None:
-        checks.pair("gravity", gravity)
-        if whisker.mass_per_length is None:
-            checks.fail("mass_per_length", "given for a whisker with a weight", "None")
         given = (*given, *weight_of(whisker, gravity))
     warn_of_whisker(whisker, ROD_STEPS)
     whisker, given, support = jax.tree.map(checks.as_float, (whisker, given, support))
     values = deflected(PlaneLoadCase(whisker.without_masses(), given, support), points)
     return Deflection(**values, whisker=whisker, loads=given, support=support)
+
+
+def _is_in_plane(load: Any) -> TypeGuard[PointForce | PointMoment | LineLoad]:
+    return not isinstance(load, SpaceForce | SpaceMoment) and (not isinstance(load, LineLoad) or load.z is None)
 
 
 def _spring_lengths(

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.attach import attached, on_unloaded
 from jaxwhisker._equilibrium.dimensionless import sections
+from jaxwhisker._equilibrium.line_loads import ScaledLineLoad, density_of, ends_of_lines, lines_of
 from jaxwhisker._equilibrium.shaft_springs import Attachments, Laws, past, stretched, to_next
 from jaxwhisker._model.motion import Frame, Pose
 from jaxwhisker._model.scene import Units
@@ -26,16 +27,7 @@ from jaxwhisker._path.deflection import LEAST_LOAD, ROD_STEPS, AbstractLoadedRod
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Section
 from jaxwhisker._rod.walk import NO_POINTS, in_order, stretches, walk
-from jaxwhisker._scan.applied_loads import (
-    Given,
-    Loads,
-    ScaledLineLoad,
-    density_of,
-    ends_of_lines,
-    lines_of,
-    sorted_loads,
-    with_load,
-)
+from jaxwhisker._scan.applied_loads import Given, Loads, sorted_loads, with_load
 
 CHECKED = np.linspace(0.0, 1.0, 17)[1:]  # points on each stretch between loads at which stability is checked
 DRIVE = Frame(0.0, 0.0, 1.0, 0.0)  # pyright: ignore[reportArgumentType] (arrays would start JAX at import)
@@ -83,10 +75,7 @@ class LoadedRod(AbstractLoadedRod):
     def load(self) -> Float[Array, ""]:
         """Size of all loads together, positive."""
         size = jnp.sum(jnp.abs(self.loads.force) + jnp.abs(self.loads.moment)) + LEAST_LOAD
-        for line in self.lines:
-            along = line.start + (line.stop - line.start) * jnp.linspace(0.0, 1.0, 5)
-            size += (line.stop - line.start) * jnp.mean(jnp.abs(jax.vmap(line.density)(along)))
-        return size
+        return size + sum(line.size for line in self.lines)
 
     @property
     def unbent(self) -> Unknowns:

@@ -1,4 +1,4 @@
-"""Deflection of one clamped whisker under given forces in space."""
+"""Deflection of one clamped whisker under given loads in space."""
 
 import equinox as eqx
 import jax
@@ -8,14 +8,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.rotation import matrix_of
-from jaxwhisker._model.loads import PointForce, SpaceForce
+from jaxwhisker._equilibrium.line_loads import Gravity, weight_of
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.deflection import ROD_STEPS, AbstractLoadCase, deflected
 from jaxwhisker._rod.space import curvature
+from jaxwhisker._space.given import GivenInSpace
 from jaxwhisker._space.loaded import LoadedInSpace, loaded_in_space, walked
-
-Forces = tuple[PointForce | SpaceForce, ...]
 
 
 class SpaceDeflection(eqx.Module):
@@ -44,14 +43,14 @@ class SpaceDeflection(eqx.Module):
     curvature: Float[Array, "points 3"]  # about d1 and d2, and twist, 1/length
     status: Int[Array, ""]  # Status.ok, .unstable, .inexact or .invalid
     whisker: Whisker
-    loads: Forces
+    loads: GivenInSpace  # with the weight, if `gravity` is given
 
 
 class SpaceLoadCase(AbstractLoadCase):
-    """A whisker in space, clamped upright at the origin, and its forces."""
+    """A whisker in space, clamped upright at the origin, and its loads."""
 
     whisker: Whisker
-    loads: Forces
+    loads: GivenInSpace
 
     def equations(self) -> LoadedInSpace:
         """The equations."""
@@ -59,8 +58,11 @@ class SpaceLoadCase(AbstractLoadCase):
 
     def valid(self, rods: LoadedInSpace) -> Bool[Array, ""]:
         """Whether all numbers are in their domains."""
-        valid = self.whisker.valid() & checks.all_finite((rods.force, rods.position, rods.section))
-        return valid & jnp.all((rods.position > 0) & (rods.position <= 1))
+        valid = self.whisker.valid() & checks.all_finite((rods.loads, rods.section))
+        valid &= jnp.all((rods.loads.position > 0) & (rods.loads.position <= 1))
+        for line in rods.lines:
+            valid &= line.inside
+        return valid
 
     def values(self, rods: LoadedInSpace, unknowns: Array, points: int) -> dict[str, Array]:
         """Fields of a SpaceDeflection."""
@@ -85,22 +87,17 @@ class SpaceLoadCase(AbstractLoadCase):
 
 
 def deflect_in_space(
-    whisker: Whisker, loads: tuple, support: Support, gravity: tuple | None, points: int
+    whisker: Whisker, loads: GivenInSpace, support: Support, gravity: Gravity | None, points: int
 ) -> SpaceDeflection:
-    """Deflect a clamped whisker in space; see `deflect`, which checks the types of the arguments.
+    """Deflect a clamped whisker in space; see `deflect`, which checks the other arguments.
 
     Raises:
-        ValueError: if a load is not a dead force, or the whisker is not clamped upright at the origin.
+        ValueError: if the whisker is not clamped upright at the origin.
     """
-    if gravity is not None:
-        checks.fail("gravity", "absent for a whisker in space: distributed loads act in the plane only", gravity)
-    for load in loads:
-        if not isinstance(load, PointForce | SpaceForce):
-            checks.fail("loads", "forces in space: moments and line loads act in the plane only", repr(load))
-        if isinstance(load, PointForce) and load.follower:
-            checks.fail("loads", "dead loads in space: followers act in the plane only", repr(load))
     if support != Support.clamped():
         checks.fail("support", "an upright clamp in space: springs and mounts act in the plane only", repr(support))
+    if gravity is not None:
+        loads = (*loads, *weight_of(whisker, gravity if len(gravity) == 3 else (*gravity, 0.0)))
     whisker, loads = jax.tree.map(checks.as_float, (whisker, loads))
     values = deflected(SpaceLoadCase(whisker.without_masses(), loads), points)
     return SpaceDeflection(**values, whisker=whisker, loads=loads)

@@ -1,7 +1,9 @@
-"""The equilibrium of one clamped whisker under dead forces in space.
+"""The equilibrium of one clamped whisker under given loads in space.
 
-The rod is integrated from its tip past all forces to the base. Only differences of positions enter the moments. The
-rotation at the tip is therefore the only unknown, and the rotation of the base the only equation.
+The rod is integrated from its tip past all loads to the base. Only differences of positions enter the moments. The
+rotation at the tip is therefore the only unknown, and the rotation of the base the only equation. The unknowns are
+twice the quaternion of that rotation: a moment may turn the tip several times, and no three numbers describe all
+rotations without a singularity. The length of the quaternion is one more equation.
 """
 
 from typing import NamedTuple
@@ -12,42 +14,34 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxwhisker._base.linear_algebra import positive_definite
+from jaxwhisker._base.linear_algebra import eigenvalues_are_positive, solve
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
-from jaxwhisker._base.quaternions import (
-    Quaternion,
-    Vector,
-    cross,
-    inverse_rotation,
-    plus,
-    product,
-    small_rotation,
-    third_axis,
-)
+from jaxwhisker._base.quaternions import Vector, inverse_rotation, product, third_axis
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.loads import PointForce, SpaceForce
+from jaxwhisker._equilibrium.line_loads import ScaledLineLoad, density_of, ends_of_lines, lines_of
+from jaxwhisker._model.loads import LineLoad
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._path.deflection import LEAST_LOAD, ROD_STEPS, AbstractLoadedRod, AtBase, Shares
-from jaxwhisker._rod.second_variation import BentRod, second_variation
+from jaxwhisker._rod.second_variation import BentRod, Followers, stiffness_by_followers, stiffness_of
 from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, integrate
-from jaxwhisker._rod.walk import NO_POINTS, stretches, walk
+from jaxwhisker._rod.space_line import integrate_under
+from jaxwhisker._rod.walk import NO_POINTS, in_order, stretches, walk
+from jaxwhisker._space.given import CLAMP, GivenInSpace, LoadsInSpace, sorted_in_space
 from jaxwhisker._space.section import space_section
 
-NODES, MODES = 12, 8  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
-HALF = float(np.sqrt(0.5))
-CLAMP: Quaternion = (HALF, -HALF, 0.0, 0.0)  # d1 = x, d2 = -z, d3 = y
+NODES, MODES = 18, 12  # quadrature points on a stretch and polynomials for each axis, with which stability is checked
 
-Top = Float[Array, "3"]  # rotation vector of the whisker at its top, from its direction without loads
+Top = Float[Array, "4"]  # twice the quaternion of the rotation at the top
 
 
 class LoadedInSpace(AbstractLoadedRod):
-    """The dimensionless equations of one whisker and its forces."""
+    """The dimensionless equations of one whisker and its loads."""
 
-    force: Float[Array, "forces 3"]  # from the tip to the base
-    position: Float[Array, " forces"]
+    loads: LoadsInSpace
+    lines: tuple[ScaledLineLoad, ...]
     section: SpaceSection
-    straight: Float[Array, "4"]  # rotation at the top without loads
-    walks_beyond: bool = eqx.field(static=True)  # whether the tip is beyond the outermost force
+    straight: Top  # without loads
+    walks_beyond: bool = eqx.field(static=True)  # whether the tip is beyond the outermost load at a point
 
     @property
     def uniform(self) -> bool:
@@ -56,59 +50,47 @@ class LoadedInSpace(AbstractLoadedRod):
 
     @property
     def stages(self) -> int:
-        """Only the forces grow."""
+        """Only the loads grow."""
         return 1
 
     @property
     def sizes(self) -> list[Scalar]:
-        """Size of all forces together."""
-        return [jnp.sum(jnp.abs(self.force)) + LEAST_LOAD]
+        """Size of all loads together."""
+        size = jnp.sum(jnp.abs(self.loads.force)) + jnp.sum(jnp.abs(self.loads.moment)) + LEAST_LOAD
+        return [size + sum(line.size for line in self.lines)]
 
     @property
     def unbent(self) -> Top:
-        """The unknowns without forces."""
-        return jnp.zeros(3)
+        """The unknowns without loads."""
+        return self.straight
 
     def at_base(self, unknowns: Top, shares: Shares) -> AtBase:
-        """The end of the rod, with a share of the forces."""
-        return _at_base(walked(unknowns, self, shares[0], NO_POINTS, ROD_STEPS))
+        """The end of the rod, with a share of the loads."""
+        return _at_base(unknowns, walked(unknowns, self, shares[0], NO_POINTS, ROD_STEPS))
 
     def refined(self, unknowns: Top, shares: Shares) -> tuple[AtBase, Bool[Array, ""]]:
-        """The end of a rod with at least twice as many steps, and whether the equilibrium is stable."""
+        """The end of a rod with at least twice as many steps, and whether the equilibrium is stable.
+
+        Moments and followers have no potential. An equilibrium is called stable if each small disturbance fades while
+        the rod resists its bending and twisting by a damping in proportion to its stiffness, without inertia. Under
+        dead forces, this is so where the second variation of the energy is positive.
+        """
         nodes, weights = gauss(NODES)
         found = walked(unknowns, self, shares[0], nodes, -(-2 * ROD_STEPS // (NODES + 1)))
-        along = jnp.ravel(found.lengths[:, None] * weights)
-        return _at_base(found), positive_definite(variation(self, found, along))
+        elastic, loaded = stiffness(self, found, jnp.ravel(found.lengths[:, None] * weights))
+        return _at_base(unknowns, found), eigenvalues_are_positive(solve(elastic, loaded))
 
 
-def loaded_in_space(whisker: Whisker, loads: tuple[PointForce | SpaceForce, ...]) -> LoadedInSpace:
-    """The equations of a whisker and its dead forces."""
-    length, stiffness = whisker.length, whisker.base_stiffness
-    rows = []
-    for load in loads:
-        if isinstance(load, PointForce):
-            force = [load.force * jnp.cos(load.direction), load.force * jnp.sin(load.direction), 0.0]
-        else:
-            force = [load.fx, load.fy, load.fz]
-        place = 1.0 if load.position is None else load.position / length
-        rows.append(jnp.array([*(part * length**2 / stiffness for part in force), place], dtype=float))
-    table = jnp.stack(rows)
-    table = table[jnp.argsort(-table[:, 3])]
-    section, zero = space_section(whisker, length, stiffness), jnp.zeros(())
-    walks_beyond = all(load.position is not None for load in loads)
+def loaded_in_space(whisker: Whisker, loads: GivenInSpace) -> LoadedInSpace:
+    """The equations of a whisker and its loads."""
+    section, zero = space_section(whisker, whisker.length, whisker.base_stiffness), jnp.zeros(())
+    at_points, lines = sorted_in_space(whisker, loads), lines_of(whisker, loads)
+    places = [load.position for load in loads if not isinstance(load, LineLoad)]
+    walks_beyond = bool(places) and None not in places
     start = (zero, zero, zero), CLAMP
     nothing = SpaceLoad((zero, zero, zero))
     _, unbent = integrate(start, -jnp.ones(()), nothing, section, steps=ROD_STEPS, from_base=zero)
-    return LoadedInSpace(table[:, :3], table[:, 3], section, jnp.stack(unbent), walks_beyond)
-
-
-def _rotation(vector: Top) -> Quaternion:
-    """The rotation about a vector by its length, up to a whole turn."""
-    x, y, z = vector / 8
-    q = small_rotation((x, y, z))
-    for _ in range(3):
-        q = product(q, q)
-    return q
+    return LoadedInSpace(at_points, lines, section, 2 * jnp.stack(unbent), walks_beyond)
 
 
 class WalkInSpace(NamedTuple):
@@ -117,50 +99,62 @@ class WalkInSpace(NamedTuple):
     s: Float[Array, " points"]
     states: SpaceState
     loads: SpaceLoad
-    lengths: Float[Array, " stretches"]  # of the stretches between forces
+    lengths: Float[Array, " stretches"]  # of the stretches between loads
+    given: tuple[Vector, Vector]  # forces and moments that act at loads
     end: SpaceState
     load: SpaceLoad
 
 
 def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, steps: int) -> WalkInSpace:
-    """From the top to the base, with `factor` times the forces.
+    """From the top to the base, with `factor` times the loads.
 
     Args:
         top: the unknowns.
         rods: see LoadedInSpace.
-        factor: of the forces.
-        share: points on each stretch between forces: see `stretches`.
+        factor: of the loads.
+        share: points on each stretch between loads at points: see `stretches`.
         steps: of the rod between two points.
     """
-    at, loaded, points, lengths = stretches(rods.position, share, beyond=rods.walks_beyond)
+    at, loaded, points, lengths = stretches(rods.loads.position, share, beyond=rods.walks_beyond)
+    order = in_order(at, ends_of_lines(rods.lines))
+    places = jax.tree.map(lambda leaf: jnp.zeros((at.size, *leaf.shape[1:])).at[loaded].set(leaf), rods.loads)
 
     def onwards(state, load, s, stop):
-        return integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load, None
+        density = density_of(rods.lines, s, stop, factor)
+        if density is None:
+            return integrate(state, s - stop, load, rods.section, steps=steps, from_base=s), load, None
+        return *integrate_under(state, load, s - stop, rods.section, density, steps=steps, from_base=s), None
 
-    def past(load, state, force):
-        own: Vector = (force[0], force[1], force[2])
-        return SpaceLoad(plus(load.force, own), plus(load.moment, cross(state[0], own)))
+    def past(load, state, place):
+        return place.added(load, state, factor)
 
-    w, x, y, z = rods.straight
+    w, x, y, z = top / jnp.sqrt(jnp.sum(top**2))
     zero = jnp.zeros(())
     still = zero, zero, zero
-    start = still, product(_rotation(top), (w, x, y, z))
-    force = jnp.zeros((at.size, 3)).at[loaded].set(factor * rods.force)
-    found = walk(onwards, past, start, SpaceLoad(still, still), at, force)
-    states, loads = jax.tree.map(lambda leaf: jnp.take(leaf, points - 1, mode="clip"), (found.passed, found.loads))
-    return WalkInSpace(at[points], states, loads, lengths, found.end, found.load)
+    start = still, (w, x, y, z)
+    found = walk(onwards, past, start, SpaceLoad(still, still), order.at, order.spread(0, places))
+    # There is no way to the first place, which is a load or the tip, and never one of the points.
+    rotations = [jnp.append(first, rest) for first, rest in zip(start[1], found.passed[1], strict=True)]
+    own = order.ranks[0][loaded]
+    given = jax.vmap(lambda load, q: load.acting(q, factor))(rods.loads, [part[own] for part in rotations])
+    own = order.ranks[0][points] - 1
+    states, loads = jax.tree.map(lambda leaf: leaf[own], (found.passed, found.loads))
+    return WalkInSpace(at[points], states, loads, lengths, given, found.end, found.load)
 
 
-def _at_base(found: WalkInSpace) -> AtBase:
+def _at_base(top: Top, found: WalkInSpace) -> AtBase:
     """The rod misses the clamp by a rotation, and its position does not matter."""
     position, rotation = found.end
     # Its derivatives at zero are those of the rotation vector.
     turn = 2 * jnp.stack(product(rotation, inverse_rotation(CLAMP))[1:])
-    return AtBase(turn, jnp.stack(position))
+    length = jnp.sum(top**2) / 4 - 1
+    return AtBase(jnp.append(length, turn), jnp.stack(position))
 
 
-def variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]) -> Float[Array, "n n"]:
-    """Second variation on rotation fields that vanish at the base, integrated with these weights.
+def stiffness(
+    rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " points"]
+) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
+    """Stiffness against rotations that vanish at the base, integrated with these weights: without loads, and with them.
 
     The determinant of the equations does not show whether a straight whisker buckles: two modes lose stability at once.
     """
@@ -171,4 +165,11 @@ def variation(rods: LoadedInSpace, found: WalkInSpace, weights: Float[Array, " p
     flexible = jax.vmap(rods.section.compliance)(found.s)
     bending = jnp.where(flexible > 0, 1 / jnp.where(flexible > 0, flexible, 1.0), 0.0)
     ratio = 1.0 if rods.section.excess is None else 1 / (1 + rods.section.excess)
-    return second_variation(BentRod(bending, ratio, tangent, force, moment), fields, slopes, weights)
+    rod, none = BentRod(bending, ratio, tangent, force, moment), jnp.zeros_like(force)
+    elastic = stiffness_of(rod._replace(force=none, moment=none), fields, slopes, weights)
+    places, follows = rods.loads.position, rods.loads.follower[:, None]
+    before = jnp.where(found.s < places[:, None], 1.0, 0.0)
+    at_places = jnp.stack(legendre_integrals(places, MODES))
+    forces, moments = (follows * jnp.stack(part, axis=-1) for part in found.given)
+    by = Followers(forces, moments, before, at_places)
+    return elastic, stiffness_of(rod, fields, slopes, weights) + stiffness_by_followers(by, rod, fields, weights)
