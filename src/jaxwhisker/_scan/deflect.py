@@ -147,9 +147,9 @@ def deflect(
         if the whisker loses its stability before the full load is reached: it would snap, or buckle to either side.
         Moments in space and followers have no potential: in the plane, stability is lost where another equilibrium
         begins, and in space where a disturbance grows that a damping in proportion to the stiffness resists, without
-        inertia. The values are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a few hundred
-        EI/L^2) or no equilibrium is found, and with status `invalid` if a traced parameter is outside its domain or a
-        traced load or spring is beyond the tip.
+        inertia. The values are NaN with status `inexact` if the load is too large for the steps of the rod (beyond a
+        few hundred EI/L^2) or no equilibrium is found, and with status `invalid` if a traced parameter is outside its
+        domain or a traced load or spring is beyond the tip.
 
     Warns:
         UserWarning: if the steps of the rod do not resolve a concrete function of arc length; see `Whisker(breaks=)`.
