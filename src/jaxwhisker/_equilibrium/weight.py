@@ -15,7 +15,7 @@ from jaxwhisker._base.quadrature import gauss
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.scene import Units
 from jaxwhisker._model.whisker import Whisker
-from jaxwhisker._rod.foundation import Density, integrate_on
+from jaxwhisker._rod.foundation import DeadDensity, Density, integrate_on
 from jaxwhisker._rod.rod import Along, Load, RodState, RodStates, Section, moment
 from jaxwhisker._rod.walk import pressed
 
@@ -26,6 +26,10 @@ ACCURACY = 1e-9  # of the last step for the moment, dimensionless; convergence i
 NEWTON_STEPS = 6  # with one share of the weight; three suffice for all of it unless the whisker hangs far over
 MOST_STEPS = 120  # in all; a weight of 100 EI / L^3 takes 30
 NO_LOAD = pressed((0.0, 0.0), 0.0, 0.0)
+
+
+def _on_rod(dead: DeadDensity) -> Density:
+    return lambda x, y, s: (dead(s)[0], dead(s)[1])
 
 
 class _Growing(NamedTuple):
@@ -78,15 +82,10 @@ class Weight(NamedTuple):
         """The same with this share of the gravity."""
         return self._replace(x=share * self.x, y=share * self.y)
 
-    def density(self, section: Section) -> Density:
+    def density(self, section: Section) -> DeadDensity:
         """Force per length on the whisker."""
-
-        def density(x: Scalar, y: Scalar, s: Scalar) -> tuple[Scalar, Scalar]:
-            del x, y
-            mass = section.mass(s)
-            return mass * self.x, mass * self.y
-
-        return density
+        along = jnp.stack([self.x, self.y, jnp.zeros_like(self.x)])
+        return lambda s: section.mass(s) * along
 
     def at_tip(self, tip: RodState) -> Load:
         """The load of the mass at the tip."""
@@ -115,7 +114,7 @@ class Weight(NamedTuple):
         start = jax.tree.map(lambda value: jnp.asarray(value, dtype=float), start)
         line_x, line_y = self.between(section, s, length)
         tip_x, tip_y = self.tip_mass * self.x, self.tip_mass * self.y
-        (x, y, cos, sin), rest, density = start, length - s, self.density(section)
+        (x, y, cos, sin), rest = start, length - s
 
         def load(share: Scalar, about_start: Scalar) -> Load:
             return pressed((x, y), share * (line_x + tip_x), share * (line_y + tip_y), about_start)
@@ -123,12 +122,9 @@ class Weight(NamedTuple):
         def missed(share: Scalar, about_start: Scalar) -> Scalar:
             """The moment that would have to act at the tip, with a share of the weight."""
 
-            def shared(*place: Scalar) -> tuple[Scalar, Scalar]:
-                push_x, push_y = density(*place)
-                return share * push_x, share * push_y
-
+            pushed = _on_rod(self.weakened(share).density(section))
             end, carried = integrate_on(
-                start, load(share, about_start), -rest, section, shared, steps=steps, from_base=s
+                start, load(share, about_start), -rest, section, pushed, steps=steps, from_base=s
             )
             return jnp.asarray(moment(end[0], end[1], carried))
 
@@ -148,7 +144,7 @@ class Weight(NamedTuple):
 
         Nothing but its weight acts on this part.
         """
-        density = self.density(section)
+        density = _on_rod(self.density(section))
 
         def onwards(carry, stop):
             state, load, at = carry

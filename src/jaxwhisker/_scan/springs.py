@@ -220,8 +220,8 @@ def _shaft_energy(
     if held.held_by.tissue is not None:
         density += jax.vmap(partial(held.held_by.tissue.energy, held.drive))(x, y, s)
     if held.held_by.weight is not None and held.section is not None:
-        push_x, push_y = jax.vmap(held.held_by.weight.density(held.section))(x, y, s)
-        density -= push_x * x + push_y * y
+        push = jax.vmap(held.held_by.weight.density(held.section))(s)
+        density -= push[:, 0] * x + push[:, 1] * y
     return jnp.sum(jnp.ravel(jnp.diff(ends)[:, None] * WEIGHTS) * density)
 
 

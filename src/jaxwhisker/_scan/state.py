@@ -16,8 +16,8 @@ class State(eqx.Module):
     """Whiskers in equilibrium, in the scene's units; every field has shape (whiskers,), in a Result (steps, whiskers).
 
     If whiskers may have several contacts (see `Scene`), the contact fields and `phase` have a last axis of contacts, in
-    order from the tip to the base; places that are not used are free, and follow. The reactions and all contact fields
-    of a free whisker are zero.
+    order from the tip to the base; places that are not used are free, and follow. All contact fields of a free whisker
+    are zero, and so are the reactions, unless the whisker has a weight or springs on its shaft.
     """
 
     base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
