@@ -93,7 +93,7 @@ def attached(support: Support, section: Any, unit: Units, weight: Weight | None 
 
     ordered, ranks = jax.vmap(sort)(unsorted)
     blank = jnp.zeros((support.whiskers, 3 + support.shaft_loads))
-    found = OnShafts(Attachments(ordered, tissue, weight), tuple(laws), ranks, blank)
+    found = OnShafts(Attachments(ordered, tissue, weight=weight), tuple(laws), ranks, blank)
     return found if not between else _coupled(found, between)
 
 

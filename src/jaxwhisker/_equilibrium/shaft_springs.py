@@ -99,10 +99,10 @@ class Attachments(NamedTuple):
 
     springs: ShaftSprings
     tissue: Tissue | None = None  # None without any foundation
-    weight: Weight | None = None  # None without gravity
     # Force along x and y and moment on the shaft at each place, in the drive's frame, of springs to other whiskers;
     # None without such springs.
     given: Float[Array, "*batch springs 3"] | None = None
+    weight: Weight | None = None  # None without gravity
 
     def with_places(self, at: Float[Array, " places"]) -> tuple["Attachments", Int[Array, " places"]]:
         """The same with further places without a spring, and the indices of these places."""
