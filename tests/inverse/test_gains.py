@@ -101,6 +101,17 @@ def test_a_start_has_no_crosstalk_and_rounding_has_no_size():
     np.testing.assert_array_equal(np.reshape(start, (6, 6)), np.diag([4.0, 2.0, 8.0, 1.6, 1.0, 1.0]))
 
 
+def test_crosstalk_is_what_a_channel_has_besides_its_own_signal():
+    known = np.eye(6)
+    known[0, 1] = known[0, 0] = known[1, 1] = known[2, 3] = np.nan
+    known[2, 2] = 0.0  # without a gain of its own, the other one is all there is
+    gains = gains_from(known, SPACE, 1)
+    assert [gains.name(e) for e in gains.unknown] == ["fx", "fx_fy", "fy", "fz_mx"]
+    np.testing.assert_array_equal(gains.crosstalk, [False, True, False, False])
+    assert not gains_from({"u": np.full(6, np.nan)}, SPACE, 1).crosstalk.any()
+    assert not gains_from(True, SPACE, 1).crosstalk.any() and not gains_from(False, SPACE, 1).crosstalk.any()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -215,6 +226,38 @@ def test_designs_compare_sensors_with_gains():
     data = jw.design(glued, {"offset": 0.2}, **options, distance=[0.3])
     alone = jw.information(glued, TRUTH, **options).known("distance")
     np.testing.assert_allclose(data.standard_error[0], list(alone.standard_error.values()), rtol=1e-9)
+
+
+def test_a_whole_matrix_with_parameters_of_each_recording_does_not_end_in_a_wrong_minimum():
+    """From this guess, gains explain the signals of wrong scenes; without crosstalk at first, they do not."""
+
+    def sprung(c, distance, position):
+        return jw.Scene(jw.Whisker(), jw.Circle(distance, 0.4, position), jw.Support.fb(c))
+
+    names, control, rng = ("fx", "fy", "mz"), np.linspace(1.0, -0.2, 120), np.random.default_rng(4)
+    truth = {"c": (40.0, 60.0, 80.0), "distance": (0.3, 0.5, 0.4), "position": (0.0, 0.1, -0.1)}
+    matrix = np.eye(3) + 0.3 * rng.standard_normal((3, 3))
+    scans = [jw.scan(sprung(*values), control) for values in zip(*truth.values(), strict=True)]
+    signals = [np.concatenate([getattr(scan, name) for name in names], axis=1) @ matrix.T for scan in scans]
+    sigma = 2e-3 * np.max(np.abs(signals), axis=(0, 1))
+    noisy = [values + sigma * rng.standard_normal(values.shape) for values in signals]
+    measured = [{"control": control} | dict(zip(names, values.T, strict=True)) for values in noisy]
+    fit = jw.identify(
+        sprung,
+        {"c": 48.8, "distance": 0.234, "position": 0.098},
+        measured,
+        sigma=dict(zip(names, sigma, strict=True)),
+        gains=np.full((3, 3), np.nan),
+        offsets=True,
+        individual=list(truth),
+        snaps=False,
+        starts=1,
+    )
+    assert fit.status == jw.FitStatus.ok and (fit.agreeing, fit.starts) == (1, 2), str(fit)
+    for name, values in truth.items():
+        for k, value in enumerate(values, start=1):
+            error = fit.estimates[f"{name}[{k}]"] - value
+            assert abs(error) < LIKELY * fit.standard_error[f"{name}[{k}]"], f"{name}[{k}]\n{fit}"
 
 
 def test_matrices_mix_signals_in_the_plane():

@@ -52,6 +52,18 @@ def test_a_fit_ends_where_little_can_be_gained():
     assert minimise(rosenbrock, start, least=1e-2).steps < minimise(rosenbrock, start, least=1e-14).steps
 
 
+def test_a_fit_that_noise_does_not_explain_ends_where_it_stalls():
+    def far(offset):
+        return lambda y: Evaluation(
+            np.append(rosenbrock(y).residual, offset), np.pad(rosenbrock(y).jacobian, [(0, 1), (0, 0)])
+        )
+
+    start = np.array([-1.2, 1.0])
+    steps = {offset: minimise(far(offset), start, 1e-14, share=1e-2).steps for offset in (0.0, 10.0)}
+    assert steps[10.0] < steps[0.0] == minimise(rosenbrock, start, 1e-14).steps
+    assert minimise(far(10.0), start, 1e-14).steps == steps[0.0]
+
+
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_a_fit_without_values_does_not_converge(wrong):
     solution = minimise(lambda y: Evaluation(np.full(3, wrong), np.ones((3, 1))), np.zeros(1), 1e-6)

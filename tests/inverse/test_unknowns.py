@@ -31,9 +31,19 @@ def test_recordings_share_what_is_not_individual():
     assert of_last == ["c", "mu[a]", "offset_mz[3]", "gain_mz", "shift"]
     assert several.scene_values(np.arange(8.0), 1) == {"c": 0.0, "mu": 2.0}
     np.testing.assert_array_equal(several.linear, [0, 0, 0, 1, 1, 1, 1, 0])
+    np.testing.assert_array_equal(several.crosstalk, np.zeros(8, bool))
     np.testing.assert_array_equal(several.own_index, [0, 1, 1, 2, 2, 2, 3, 4])
     parts = split(several, np.arange(5.0))
     assert [list(part) for part in parts] == [[0.0, 1.0], [], [2.0], [3.0], [4.0]]
+
+
+def test_crosstalk_of_every_recording():
+    matrix = np.eye(3)
+    matrix[0, 1] = matrix[2, 2] = np.nan
+    both = unknowns_of(["c"], Channels(), [], gains_from(matrix, Channels(), 1), True, ["gains"], 2)
+    assert both.all_names == ("c", "gain_fx_fy[1]", "gain_fx_fy[2]", "gain_mz[1]", "gain_mz[2]", "shift")
+    np.testing.assert_array_equal(both.crosstalk, [0, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(both.linear, [0, 1, 1, 1, 1, 0])
 
 
 def test_names_alone_mean_one_value_for_each_recording():

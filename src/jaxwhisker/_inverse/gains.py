@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._inverse.channels import Channels
@@ -26,6 +26,17 @@ class Gains(NamedTuple):
         """The entries that are unknown."""
         entries = () if self.matrix is None else np.argwhere(np.isnan(self.matrix)).tolist()
         return tuple((whisker, channel, signal) for whisker, channel, signal in entries)
+
+    @property
+    def crosstalk(self) -> Bool[np.ndarray, " unknown"]:
+        """Which unknown entries are those of another signal than the channel's own, if that has a gain."""
+        own = {name: k for k, name in enumerate(self.signals)}
+
+        def has_own(whisker: int, channel: int) -> bool:
+            signal = own.get(self.names[channel])
+            return signal is not None and self.matrix is not None and self.matrix[whisker, channel, signal] != 0
+
+        return np.array([self.names[r] != self.signals[c] and has_own(w, r) for w, r, c in self.unknown], bool)
 
     def name(self, entry: Entry) -> str:
         """Name of an entry: that of its channel, and that of the signal if it is another."""

@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeAlias, overload
 
@@ -35,6 +35,8 @@ from jaxwhisker._scan.route import turns_of
 LEAST_NOISE = 1e-4  # of the peak: least noise assumed before the residuals give an estimate
 SPREAD = np.log(4.0)  # largest distance of other starts from the guess in each of the fit's variables
 ESTIMATES = 4  # of the noise from the residuals, at most
+ROUGH = 1e-2  # share of the sum of squares: decrease below which a stage without crosstalk ends
+STALLED = 1e-4  # the same for fits that noise does not explain
 EXACT = 1e-10  # of the peak: signals are not more exact, so that smaller residuals are no noise
 OVERESTIMATED = 0.5  # share of the degrees of freedom; below it, chi-squared shows that the noise was overestimated
 BASELINE = 5  # first samples, from which constant offsets are guessed
@@ -99,7 +101,8 @@ def identify(
 
     The method is Levenberg-Marquardt on whitened residuals, with exact derivatives. Snaps contribute by their positions
     (see residuals.py). A first stage overlays the scans; therefore guesses may be off by a factor of three or more. If
-    the residuals are not plausible, fits from other starts follow. A fit that takes longer than two seconds shows its
+    the residuals are not plausible, other fits follow: with crosstalk among the unknown gains, one that begins without
+    crosstalk, and fits from other starts, until one is plausible. A fit that takes longer than two seconds shows its
     progress on terminals and in notebooks.
 
     **Bending tests**: `build` may return a whisker and loads instead, as `deflect` takes them, and last of all a
@@ -138,7 +141,7 @@ def identify(
             the value, `name[label]`.
         bounds: pairs (low, high) by name, None for no bound.
         transform: "log" or "linear" by name. Default: log for parameters that `build` rejects if they are negative.
-        starts: largest number of further fits if the first one is not plausible; 0 for none.
+        starts: largest number of further fits while none is plausible; 0 for none.
         near: whether the guess is close to the solution; the first stage is then skipped.
         snaps: whether jumps of the signals are snaps, whose positions are then compared. Use False for `channels` that
             jump for other reasons, such as frequencies, which change suddenly at the first touch.
@@ -260,17 +263,18 @@ def _ready(
     return with_gains(*unknowns.gains.sizes(peaks, signals), baselines)
 
 
-def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool) -> tuple[Minimum, int]:
-    """Fit from a guess, and count the steps."""
+def _fit_in_stages(problem: FitProblem, y: np.ndarray, near: bool, plain: bool = False) -> tuple[Minimum, int]:
+    """Fit from a guess, and count the steps; `plain` says whether the first stage is without crosstalk."""
     thinned = any(recording.observations.control.size > BLOCK for recording in problem.recordings)
-    overlaid = all(recording.can_be_overlaid for recording in problem.recordings)
+    overlaid = not near and all(recording.can_be_overlaid for recording in problem.recordings)
     steps = 0
-    for first in [True] * (overlaid and not near) + [False] * thinned:
-        data = problem.samples(overlaid=first, thin=True)
-        solution = problem.solve(y, data, y, least=COARSE)
+    first = {"free": ~problem.unknowns.crosstalk, "share": 0.0 if overlaid else ROUGH} if plain else {}
+    for over, options in [(overlaid, first)] * (overlaid or plain) + [(False, {})] * thinned:
+        data = problem.samples(overlaid=over, thin=True)
+        solution = problem.solve(y, data, y, least=COARSE, **options)
         y, steps = solution.y, steps + solution.steps
     data = problem.samples()
-    solution = problem.solve(y, data, y)
+    solution = problem.solve(y, data, y, share=STALLED)
     return solution, steps + solution.steps
 
 
@@ -284,23 +288,29 @@ class _Search(NamedTuple):
 
 
 def _search(problem: FitProblem, start: np.ndarray, starts: int, near: bool) -> _Search:
-    """Fit from the guess; if that is not plausible, from other starts until enough of them agree on the best fit."""
+    """Fit from the guess; if that is not plausible, from other starts until one is, or enough agree on the best fit."""
     best, steps = _fit_in_stages(problem, start, near)
     if not starts or problem.is_plausible(best):
         return _Search(best, steps, 1, 1)
     solutions, agreeing = [best], 1
+    crosstalk = bool(problem.unknowns.crosstalk.any())
 
     def fit(number: int, y: np.ndarray) -> Minimum:
         # If a feature of the data is misread, overlaid scans mislead from every start: skip them every other time.
-        return _fit_in_stages(problem, y, near=number % 2 == 0)[0]
+        # A whole gain matrix explains most of the signals of a wrong scene: then fit without crosstalk first.
+        other = number % 2 == 0
+        return _fit_in_stages(problem, y, near=other and not crosstalk, plain=other and crosstalk)[0]
 
-    others = [start, *_other_starts(start, starts - 1)]
+    def fits(pool: ThreadPoolExecutor) -> Iterator[Minimum]:
+        yield fit(0, start)  # alone: it often succeeds, and fits that run beside it would have to end first
+        yield from pool.map(as_here(fit), range(1, starts), _other_starts(start, starts - 1))
+
     with ThreadPoolExecutor(threads()) as pool:
-        for solution in pool.map(as_here(fit), range(len(others)), others):
+        for solution in fits(pool):
             solutions.append(solution)
             best = min(solutions, key=lambda s: (not np.isfinite(s.misfit), s.misfit))
             agreeing = sum(bool(np.max(np.abs(s.y - best.y)) < EQUAL) for s in solutions)
-            if agreeing >= ENOUGH:
+            if agreeing >= ENOUGH or problem.is_plausible(best):
                 pool.shutdown(wait=False, cancel_futures=True)
                 break
     return _Search(best, steps, len(solutions), agreeing)

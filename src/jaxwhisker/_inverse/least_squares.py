@@ -64,10 +64,12 @@ def minimise(
     y: np.ndarray,
     least: float,
     improve: Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]] = lambda y, at: (y, at),
+    share: float = 0.0,
 ) -> Minimum:
     """Levenberg-Marquardt: end when another step would not lower the sum of squares by more than `least`.
 
-    `improve` may move each trial to a better one nearby.
+    `improve` may move each trial to a better one nearby. A fit that noise does not explain also ends where a step would
+    not lower the sum of squares by more than this `share` of what exceeds one for each residual.
 
     Otherwise unknowns that are hardly determined would keep moving for many steps, and near the minimum rounding would
     decide which steps are accepted.
@@ -78,7 +80,8 @@ def minimise(
     y, at = improve(y, evaluate(y))
     steps, damping, small = 1, 1.0, False
     while steps < FIT_STEPS and np.isfinite(at.residual).all() and np.isfinite(at.jacobian).all():
-        if small or possible_decrease(at.residual, at.jacobian) < least:
+        enough = max(least, share * (chi_squared(at.residual) - at.residual.size))
+        if small or possible_decrease(at.residual, at.jacobian) < enough:
             return Minimum(y, *at[:3], steps, True)
         step = _damped_step(at, damping)
         (moved, trial), steps = improve(y + step, evaluate(y + step)), steps + 1

@@ -50,6 +50,7 @@ class LeastSquares(NamedTuple):
         *,
         free: Bool[np.ndarray, " unknowns"] | None = None,
         least: float = FINAL,
+        share: float = 0.0,
     ) -> Minimum:
         """Fit, starting from y, with a weak prior about these values; unknowns that are not free stay fixed."""
         held = np.zeros(y.size, bool) if free is None else ~free
@@ -72,7 +73,7 @@ class LeastSquares(NamedTuple):
             at.jacobian[:, held] = 0.0
             return y, at
 
-        return minimise(evaluate, y, least, with_best_gains)
+        return minimise(evaluate, y, least, with_best_gains, share)
 
     def evaluate(
         self, y: np.ndarray, data: Sequence[Samples], prior: np.ndarray, scans: Sequence[Scanned] | None = None

@@ -48,11 +48,16 @@ class Unknowns(NamedTuple):
     @property
     def linear(self) -> Bool[np.ndarray, " unknowns"]:
         """Which unknowns of all recordings the signals depend on linearly: gains and offsets."""
-        first, count = len(self.names), len(self.offsets) + len(self.gains.unknown)
-        linear = np.zeros(len(self.all_names), bool)
-        for columns in self.columns:
-            linear[columns[first : first + count]] = True
-        return linear
+        return self._among_all(len(self.names) + np.arange(len(self.offsets) + len(self.gains.unknown)))
+
+    @property
+    def crosstalk(self) -> Bool[np.ndarray, " unknowns"]:
+        """Which unknowns of all recordings are gains of another signal than the channel's own."""
+        return self._among_all(len(self.names) + len(self.offsets) + np.flatnonzero(self.gains.crosstalk))
+
+    def _among_all(self, own: Int[np.ndarray, " some"]) -> Bool[np.ndarray, " unknowns"]:
+        """Which unknowns of all recordings have one of these places among those of a recording."""
+        return np.isin(self.own_index, own)
 
     def by_own(self, slopes: np.ndarray) -> np.ndarray:
         """Derivatives by the unknowns of one recording, from those along the directions of a linearised scan."""
