@@ -41,9 +41,6 @@ def test_weights_between_places_are_integrals():
     x, y = weight.between(section, jnp.asarray(0.1), jnp.asarray(0.95))
     total = (1.2 - 0.2) - 0.15 * (1.2**2 - 0.2**2) + 0.5 * (1.9 - 1.2) - 0.1 * (1.9**2 - 1.2**2)
     np.testing.assert_allclose((x * UNIT.force, y * UNIT.force), np.multiply(GRAVITY, total), rtol=ROUNDING)
-    tip = weight.at_tip((0.3, 0.5, 1.0, 0.0))
-    np.testing.assert_allclose(np.multiply((tip.force_x, tip.force_y), UNIT.force), np.multiply(GRAVITY, 0.2))
-    np.testing.assert_allclose(tip.moment, 0.3 * tip.force_y - 0.5 * tip.force_x)
 
 
 @pytest.mark.parametrize(("gravity", "angle"), [(GRAVITY, 0.4), ((0.0, -30.0), 0.1), ((0.0, 40.0), -0.2)])
@@ -91,11 +88,14 @@ def test_the_part_beyond_a_contact_is_a_cantilever(gravity, angle):
     assert abs(jnp.asarray(rod.moment(line_x, line_y, loads))[-1]) < INTEGRATED * size
 
 
-def test_there_is_none_beyond_the_tip():
-    weight, section = own(jw.Whisker(LENGTH, STIFFNESS, mass_per_length=1.0))
+@pytest.mark.parametrize("tip_mass", [None, 0.2])
+def test_beyond_the_tip_is_its_mass(tip_mass):
+    weight, section = own(jw.Whisker(LENGTH, STIFFNESS, mass_per_length=1.0, tip_mass=tip_mass))
     start = tuple(map(jnp.asarray, (0.1, 0.2, 0.6, 0.8)))
     load = weight.beyond(start, jnp.asarray(1.0), jnp.asarray(1.0), section, steps=8)
-    np.testing.assert_array_equal((load.force_x, load.force_y, load.moment), 0.0)
+    force = np.multiply(GRAVITY, tip_mass or 0.0)
+    np.testing.assert_allclose(np.multiply((load.force_x, load.force_y), UNIT.force), force, atol=ROUNDING)
+    np.testing.assert_allclose(load.moment, 0.1 * load.force_y - 0.2 * load.force_x, atol=ROUNDING)
 
 
 def test_a_load_has_derivatives():

@@ -124,7 +124,9 @@ def test_states_are_deflections_under_the_contact_force_and_the_weight():
     scene, result = SCENES["clamped"], scanned("clamped")
     for k in (20, 36):
         slope, force, arc = (getattr(result, name)[k, 0] for name in ("contact_slope", "contact_force", "contact_arc"))
-        bent = jw.deflect(scene.whiskers[0], jw.PointForce(force, slope - np.pi / 2, arc), gravity=scene.gravity)
+        bent = jw.deflect(
+            scene.whiskers[0], jw.PointForce(force, arc, direction=slope - np.pi / 2), gravity=scene.gravity
+        )
         for name in ("fx", "fy", "mz"):
             np.testing.assert_allclose(getattr(bent, name), getattr(result, name)[k, 0], atol=1e-7, err_msg=name)
         line = jw.shapes(result, CONTROL[[k]])

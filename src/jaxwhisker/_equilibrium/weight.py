@@ -24,8 +24,7 @@ Gravity = tuple[Scalar, Scalar]  # acceleration along x and y
 POINTS, WEIGHTS = gauss(8)  # on each piece of a whisker between breaks; exact for round cones
 ACCURACY = 1e-9  # of the last step for the moment, dimensionless; convergence is quadratic
 NEWTON_STEPS = 6  # with one share of the weight; three suffice for all of it unless the whisker hangs far over
-MOST_STEPS = 120  # in all; a weight of 100 EI / L^3 takes 30
-NO_LOAD = pressed((0.0, 0.0), 0.0, 0.0)
+MOST_STEPS = 120  # in all
 
 
 def _on_rod(dead: DeadDensity) -> Density:
@@ -87,12 +86,8 @@ class Weight(NamedTuple):
         along = jnp.stack([self.x, self.y, jnp.zeros_like(self.x)])
         return lambda s: section.mass(s) * along
 
-    def at_tip(self, tip: RodState) -> Load:
-        """The load of the mass at the tip."""
-        return pressed(tip[:2], self.tip_mass * self.x, self.tip_mass * self.y)
-
     def between(self, section: Section, start: Scalar, stop: Scalar) -> tuple[Scalar, Scalar]:
-        """Weight of the whisker without its tip mass between two arc lengths from the base."""
+        """Force of the weight between two arc lengths from the base, without that of the mass at the tip."""
         ends = jnp.stack([start, stop])
         if section.breaks is not None:
             breaks = jnp.clip(section.breaks / section.length_unit, start, stop)

@@ -79,7 +79,7 @@ class InThePlane(Mechanics):
     @staticmethod
     def check(scene: Scene, problem: Problem) -> None:
         check_valid(scene, problem)
-        warn_of_steps(scene)
+        warn_of_steps(scene, masses=scene.gravity is not None)
 
     @staticmethod
     def follow(problem: Problem, stops: Any, last: Any) -> ScanPath:
