@@ -127,7 +127,7 @@ def test_loads_of_springs_between_shafts_follow_the_contact_of_the_second_whiske
     assert column.tolist() == [[3, 4, 5], [6, 7, 8], [3, 4, 5]]
     # They act through these loads only.
     assert not springs.held_by.springs.share.any() and couplings.spring.share.tolist() == [1.0] * 3
-    half = _weakened(springs, 0.5)
+    half = _weakened(springs, 0.5, 1.0)
     assert half.couplings.spring.share.tolist() == [0.5] * 3
     np.testing.assert_array_equal(half.couplings.spring.stiffness, couplings.spring.stiffness)
 

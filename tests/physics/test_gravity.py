@@ -122,7 +122,7 @@ def test_states_obey_the_laws(name):
 
 def test_states_are_deflections_under_the_contact_force_and_the_weight():
     scene, result = SCENES["clamped"], scanned("clamped")
-    for k in (20, 36):
+    for k in (12, 20):
         slope, force, arc = (getattr(result, name)[k, 0] for name in ("contact_slope", "contact_force", "contact_arc"))
         bent = jw.deflect(
             scene.whiskers[0], jw.PointForce(force, arc, direction=slope - np.pi / 2), gravity=scene.gravity
@@ -209,7 +209,7 @@ def test_what_does_not_know_weights_says_so():
         (lambda: jw.modes(result), "`at` must be one without gravity"),
         (lambda: jw.lateral_stability(result), "`result` must be that of a scene without gravity"),
         (lambda: jw.Sensor.of(scene), "`scene` must be without gravity"),
-        (lambda: jw.reconstruct(scene, result), "without gravity"),
+        (lambda: jw.reconstruct(result, scene), "without gravity"),
         (lambda: jw.stored_energy(scene, result.events.before), "`control` must be given for states of a scene with"),
     ):
         with pytest.raises(ValueError, match=text):
