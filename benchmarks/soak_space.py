@@ -111,7 +111,7 @@ def broken_laws(plain: Plain, stable: list[State], others: list[State], rng) -> 
 
 
 def first_touch(plain: Plain, first: float, last: float) -> tuple[float, float]:
-    """Arc length and control at which an unloaded whisker first touches the object on a way of the drive."""
+    """Arc length and control at which an unloaded whisker first touches the object on a way of the drive, or nearly."""
     zero, arc = np.zeros(3), np.nan
     for _ in range(4):
         controls = np.linspace(first, last, 41)
@@ -123,7 +123,8 @@ def first_touch(plain: Plain, first: float, last: float) -> tuple[float, float]:
         found = shafts(plain, states)
         distances = np.array([plain.surface.off(whole.points) for whole in found])
         inside = np.flatnonzero(np.min(distances, axis=1) < 0)
-        if not inside.size:
+        if not inside.size:  # it is on its way to where it is nearest
+            arc = arc if np.isfinite(arc) else found[-1].arc[np.argmin(distances[-1])]
             break
         k = inside[0]
         arc = found[k].arc[np.argmin(distances[k])]

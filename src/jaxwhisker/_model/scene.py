@@ -185,7 +185,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         for is_there, name, allowed in unknown:
             if is_there:
                 value = getattr(self, name)
-                checks.fail(name, allowed, str(value) if name == "support" else repr(value))
+                checks.fail(name, allowed, repr(value) if name in ("detect", "gravity") else str(value))
 
     @property
     def objects(self) -> tuple[AbstractProfile, ...]:
