@@ -51,7 +51,7 @@ class ScaledLineLoad(eqx.Module):
         return (start >= 0) & (stop > start) & (stop <= 1)
 
 
-class _Weight(eqx.Module):
+class _WeightAlong(eqx.Module):
     """Weight per length along one axis."""
 
     mass_per_length: Any
@@ -70,7 +70,7 @@ def weight_of(whisker: Whisker, gravity: Gravity) -> tuple[PointForce | LineLoad
 
     With two components of `gravity` these are loads in the plane.
     """
-    x, y, *z = (_Weight(whisker.mass_per_length, along) for along in gravity)
+    x, y, *z = (_WeightAlong(whisker.mass_per_length, along) for along in gravity)
     weight = LineLoad(x, y, z=z[0] if z else None)
     if whisker.tip_mass is None:
         return (weight,)
