@@ -30,7 +30,7 @@ def supported(*springs, **parts) -> jw.Scene:
 
 
 SCENES = {
-    "parabola": planar(jw.Parabola(0.2, 2.0, -0.1), whisker=HEAVY, friction=0.3),
+    "parabola": planar(jw.Parabola(0.2, 2.0, -0.1), whisker=HEAVY, friction=0.3, gravity=(0.5, -1)),
     "circle and digits": planar(jw.Circle(0.1 + 0.2, 1e-7, position=-1 / 3)),
     "arrays of JAX and NumPy": planar(jw.Circle(jnp.asarray(0.3), np.float64(0.7)), friction=jnp.asarray(0.2)),
     "integers": planar(jw.Parabola(1, 2), whisker=jw.Whisker(3)),

@@ -81,14 +81,14 @@ def test_names_of_kinds_do_not_occur_twice():
 
 
 def test_keys_of_a_scene_are_those_of_both_classes():
-    keys = ["whisker", "objects", "support", "rod", "drive", "friction", "detect", "contacts"]
+    keys = ["whisker", "objects", "support", "rod", "drive", "friction", "detect", "contacts", "gravity"]
     assert list(scene_arguments()) == keys
 
 
 def test_kinds_need_no_name_where_there_is_one_or_a_default():
     found = {name: argument.usual and argument.usual.name for name, argument in scene_arguments().items()}
     assert found == {
-        **dict.fromkeys(("objects", "friction", "detect", "contacts")),
+        **dict.fromkeys(("objects", "friction", "detect", "contacts", "gravity")),
         **{"whisker": "whisker", "support": "support", "rod": "shooting", "drive": "translation"},
     }
 
