@@ -105,7 +105,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         gravity: acceleration along x and y, whose weight of each whisker's `mass_per_length` and `tip_mass` bends it
             everywhere, before any contact and beyond it: (0.0, -9.81) for whiskers in SI units that stand upright. fx,
             fy and mz then balance the weight, too. The drive moves along a straight line without turning. Such scans
-            take several times as long. Default: no weight.
+            take ten times as long and more. Default: no weight.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, or `rod`
