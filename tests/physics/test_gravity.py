@@ -147,7 +147,7 @@ def test_a_column_buckles_under_its_own_weight():
 
 @pytest.mark.parametrize("name", ["clamped", "FB", "on a follicle", "friction"])
 def test_the_energy_balances(name):
-    """Also on a drive that rises, so that it lifts the whisker."""
+    """The work of the drive goes into bending, springs, weights and heat."""
     scene = SCENES[name]
     energies = jw.energy_balance(jw.scan(scene, CONTROL[:36]))
     work = np.abs(energies.work).max()

@@ -116,7 +116,6 @@ class Weight(NamedTuple):
 
         def missed(share: Scalar, about_start: Scalar) -> Scalar:
             """The moment that would have to act at the tip, with a share of the weight."""
-
             pushed = _on_rod(self.weakened(share).density(section))
             end, carried = integrate_on(
                 start, load(share, about_start), -rest, section, pushed, steps=steps, from_base=s
