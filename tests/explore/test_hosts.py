@@ -1,5 +1,6 @@
 """The local page's server, and the widget; see test_browser.py for what they show."""
 
+import contextlib
 import gc
 import http.client
 import json
@@ -42,18 +43,18 @@ def port():
 def send(port, method, path, body=None, **headers):
     """Status, headers and body of the server's answer."""
     host = f"127.0.0.1:{port}"
-    connection = http.client.HTTPConnection(host, timeout=60)
-    connection.putrequest(method, path, skip_host=True)
     sent = {"Host": host} | ({} if method == "GET" else {"Origin": f"http://{host}"})
     sent |= {} if body is None else {"Content-Length": str(len(body))}
-    for name, value in (sent | {name.replace("_", "-"): value for name, value in headers.items()}).items():
-        if value is not None:
-            connection.putheader(name, value)
-    connection.endheaders(body)
-    response = connection.getresponse()
-    answer = response.status, response.headers, response.read()
-    connection.close()
-    return answer
+    sent |= {name.replace("_", "-"): value for name, value in headers.items()}
+    # a connection that the server resets is closed here, too
+    with contextlib.closing(http.client.HTTPConnection(host, timeout=60)) as connection:
+        connection.putrequest(method, path, skip_host=True)
+        for name, value in sent.items():
+            if value is not None:
+                connection.putheader(name, value)
+        connection.endheaders(body)
+        response = connection.getresponse()
+        return response.status, response.headers, response.read()
 
 
 def test_the_page_and_its_parts_are_served(port):
