@@ -257,7 +257,8 @@ def test_integers_have_no_derivative():
 
 @pytest.mark.parametrize("count", [5, 64, 130])
 def test_large_batches_run_in_blocks(count, monkeypatch):
-    monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", 4)
     x, y = np.linspace(0.0, 1.0, count), np.linspace(1.0, 2.0, count)
     together, traces = traced(plain, together=LANES)
     assert_same(jax.vmap(together)(x, y), jax.vmap(plain)(x, y))
@@ -266,8 +267,26 @@ def test_large_batches_run_in_blocks(count, monkeypatch):
     assert len(traces) == 1
 
 
+def test_blocks_are_compiled_after_many_lanes(monkeypatch):
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", 20)
+    together, traces = traced(plain, together=LANES)
+
+    def compiled(count):
+        x, y = np.linspace(0.0, 1.0, count), np.linspace(1.0, 2.0, count)
+        assert_same(jax.vmap(together)(x, y), jax.vmap(plain)(x, y))
+        return [lanes for _, lanes, _ in together._executables]
+
+    # Small batches never count, and once there are blocks, every large batch uses them.
+    assert [compiled(count) for count in (10, 4, 4, 4, 10, 5, 5)] == [[0]] * 5 + [[0, LANES]] * 2
+    assert len(traces) == 2
+    together.clear()
+    assert compiled(10) == [0] and compiled(21) == [0, LANES]
+
+
 def test_other_batches_run_one_by_one(monkeypatch):
-    monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_SINGLE", 4)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", 4)
     for count, together in ((4, LANES), (5, 0)):
         run = Program(plain, together=together)
         jax.vmap(run, (0, None))(np.linspace(0.0, 1.0, count), Y[0])

@@ -227,7 +227,8 @@ def test_shapes_types_options_and_lanes_have_entries_of_their_own(folder, monkey
         for kind in (np.float64, np.float32):
             for size in (2, 3):
                 Program(linear_algebra.positive_definite, quick=quick)(np.eye(size, dtype=kind))
-    monkeypatch.setattr("jaxwhisker._base.primitive.MOST_SINGLE", 1)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_SINGLE", 1)
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", 1)
     jax.vmap(Program(linear_algebra.positive_definite, together=64))(np.stack([np.eye(2)] * 2))
     assert len(set(saved)) == len(saved) == 9
 

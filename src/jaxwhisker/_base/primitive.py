@@ -19,17 +19,11 @@ from jax.interpreters import ad, batching, mlir
 from jaxwhisker._base.settings import as_here, with_own_settings
 
 LANES = 64  # of a batch in the plane that run together
-MOST_SINGLE = 32  # smaller batches run one by one, which needs no further executable
 
 
 def threads() -> int:
     """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def lanes_together(program: Any, count: int) -> int:
-    """Lanes of the executable for this many; 0 if each of them runs alone."""
-    return program.together if count > MOST_SINGLE else 0
 
 
 PRIMITIVE = Primitive("jaxwhisker_program")
@@ -44,8 +38,10 @@ def _run(*arrays, program: Any, shape: Any, levels: tuple[tuple[bool, ...], ...]
     values = [np.asarray(leaf) for leaf in arrays]
     sizes = [_size(values, levels, number) for number in range(len(levels))]
     indices = list(np.ndindex(*sizes))
-    together = lanes_together(program, len(indices))
+    together = program.lanes_together(shape, len(indices))
     run = program.compiled(shape, together)
+    if not together:
+        program.count_alone(shape, len(indices))
 
     def lane(index: tuple[int, ...]) -> list:
         each = zip(values, zip(*levels, strict=True), strict=True)

@@ -13,6 +13,7 @@ rule, usually by another program. All others are differentiated by JAX.
 import functools
 import gc
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
@@ -27,7 +28,7 @@ from jaxlib.version import __version_info__ as version
 from jaxwhisker._base import checks, store
 from jaxwhisker._base.announce import announced
 from jaxwhisker._base.aside import aside, interruptible
-from jaxwhisker._base.primitive import PRIMITIVE, lanes_together
+from jaxwhisker._base.primitive import PRIMITIVE
 from jaxwhisker._base.settings import device, with_own_settings
 
 # Up to version 0.10, jaxlib has two emitters of CPU kernels. The one that is not the default compiles in half the
@@ -38,6 +39,11 @@ COMPILER_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False} if ver
 COMPILER_OPTIONS["xla_cpu_multi_thread_eigen"] = False
 
 ARRAYS = (np.ndarray, np.generic, jax.Array, jax.ShapeDtypeStruct)
+MOST_SINGLE = 32  # smaller batches run one by one: most lanes of a block would be padding
+# Lanes of larger batches that run one by one before a block of them is compiled. Alone, a scan takes 1.3 to 2.3 times
+# as long, so that the block saves what its compilation takes after 2,000 to 6,000 scans: neither choice costs much more
+# than twice what the better one would.
+MOST_ALONE = 2048
 MOST_KEPT = 128  # executables of a program in a process; the oldest ones are dropped
 
 
@@ -94,6 +100,7 @@ class Program:
         self._lock = threading.RLock()  # a program may need another shape of itself while it is traced
         self._results: dict[Shape, Results] = {}
         self._executables: dict[tuple[Shape, int, Any], Future] = {}
+        self._alone: Counter[Shape] = Counter()  # lanes of large batches that ran one by one
         _PROGRAMS.append(self)
 
     @with_own_settings
@@ -126,11 +133,23 @@ class Program:
     def is_ready(self, *args) -> bool:
         """Whether the program for arguments of these shapes is compiled, or being compiled."""
         shape, arrays = _split(args)
-        return (shape, self._lanes_of(arrays), device()) in self._executables
+        return self._is_known(shape, self.lanes_together(shape, checks.lanes_of(arrays)))
 
-    def _lanes_of(self, arrays: Sequence) -> int:
-        """Lanes of the executable that runs arguments below vmap."""
-        return lanes_together(self, checks.lanes_of(arrays))
+    def _is_known(self, shape: Shape, lanes: int) -> bool:
+        return (shape, lanes, device()) in self._executables
+
+    def lanes_together(self, shape: Shape, count: int) -> int:
+        """Lanes of the executable that runs a batch of this many; 0 if each of them runs alone."""
+        if not self.together or count <= MOST_SINGLE:
+            return 0
+        pays = self._alone[shape] + count > MOST_ALONE or self._is_known(shape, self.together)
+        return self.together if pays else 0
+
+    def count_alone(self, shape: Shape, count: int) -> None:
+        """Note that a batch of this many has run one by one."""
+        if count > MOST_SINGLE:
+            with self._lock:
+                self._alone[shape] += count
 
     def executable(self, *args) -> Any:
         """The executable for arguments of these shapes."""
@@ -139,7 +158,7 @@ class Program:
     def prepare(self, pool: Executor, *args) -> Any:
         """Trace for arguments of these shapes and compile in a thread of the pool. Return the shapes of the results."""
         shape, arrays = _split(args)
-        self._executable(shape, self._lanes_of(arrays), pool)
+        self._executable(shape, self.lanes_together(shape, checks.lanes_of(arrays)), pool)
         return self._results[shape].tree(self._results[shape].arrays)
 
     def compiled(self, shape: Shape, lanes: int = 0) -> Callable[..., list]:
@@ -208,6 +227,7 @@ class Program:
         """Forget everything that was compiled in this process."""
         with self._lock:
             self._executables.clear()
+            self._alone.clear()
 
     def _executable(self, shape: Shape, lanes: int, pool: Executor | None = None) -> Future:
         name = shape, lanes, device()

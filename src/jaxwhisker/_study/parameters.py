@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxwhisker._base import checks
-from jaxwhisker._base.primitive import LANES, MOST_SINGLE
+from jaxwhisker._base.primitive import LANES
+from jaxwhisker._base.program import MOST_ALONE, MOST_SINGLE
 from jaxwhisker._scan.quantities import Quantity
 
 PointRegion = tuple[slice, ...]  # along the dimensions of the points
 BlockIndex = tuple[int, ...]  # of a block along these dimensions
 
-MANY = 256  # points from which on a program for `LANES` of them pays
 PARTS, FEW = 16, 8  # a smaller study has PARTS blocks or fewer of FEW points each
 BASE = 1.2e9  # bytes that a process uses that has compiled a study and holds no block
 COPIES = 3  # of the results of a block in memory: as computed, as variables, and while they are stored
@@ -78,7 +78,7 @@ def lanes_for(total: int) -> int:
     Few points run one by one, and in blocks so small that all processors are busy. Many run `LANES` at a time, which
     needs a program of its own. More per block are not faster, and an interrupted study would lose more.
     """
-    return LANES if total >= MANY else min(MOST_SINGLE, max(FEW, -(-total // PARTS)))
+    return LANES if total > MOST_ALONE else min(MOST_SINGLE, max(FEW, -(-total // PARTS)))
 
 
 class Blocks(NamedTuple):
