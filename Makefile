@@ -19,12 +19,12 @@ help: ## list all targets
 demo: $(VENV)/installed ## reproduce the tables and figures of the thesis in out/ (2 minutes on two cores)
 	@$(BIN)/python -m jaxwhisker reproduce --out $(OUT)/
 
-test: $(VENV)/installed-dev ## run the tests of every feature and module
-	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "not long" --check-types $(TYPED)
-	@$(BIN)/python -m pytest $(PYTEST_OPTIONS) -m "not long" $(addprefix --ignore=,$(TYPED))
+test: $(VENV)/installed-dev ## run the tests of every feature and module, but no test that passed with the same sources
+	@$(BIN)/python -m pytest --unchanged $(PYTEST_OPTIONS) -m "not long" --check-types $(TYPED)
+	@$(BIN)/python -m pytest --unchanged $(PYTEST_OPTIONS) -m "not long" $(addprefix --ignore=,$(TYPED))
 
 test-long: $(VENV)/installed-dev ## run the longest tests, which tests/long.txt lists
-	@$(BIN)/python -m pytest -m long -rs --no-loadscope-reorder $$(sed 's/::.*//' tests/long.txt | sort -u)
+	@$(BIN)/python -m pytest --unchanged -m long -rs --no-loadscope-reorder $$(sed 's/::.*//' tests/long.txt | sort -u)
 
 test-all: $(VENV)/installed-dev ## run all tests, and enforce types and shapes of all arguments
 	@$(BIN)/python -m pytest --check-types

@@ -17,7 +17,7 @@ from pathlib import Path
 from common import write
 
 ROOT = Path(__file__).parents[1]
-CACHES = (ROOT / ".cache" / "programs", ROOT / ".pytest_cache")
+CACHES = (ROOT / ".cache", ROOT / ".pytest_cache")  # also of which tests have passed
 LONG = 20.0  # seconds of processor time beyond which a test is listed
 MINUTE = 60.0
 

@@ -26,6 +26,8 @@ import jaxtyping
 import pytest
 from hypothesis import HealthCheck, settings
 
+import unchanged
+
 # Compilation takes most of the tests' time. With these options it takes half as long, and the code runs slower. Both
 # cores are busy anyway: splitting a program among threads only adds cost. To test with the default options, run
 # XLA_FLAGS= make test
@@ -53,6 +55,13 @@ BEARTYPE = "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--check-types", action="store_true", help="enforce types and shapes of all arguments")
+    parser.addoption(
+        "--unchanged",
+        nargs="?",
+        const=str(unchanged.RECORDS),
+        metavar="FILE",
+        help="leave out tests that have passed with the same sources, which this file records",
+    )
     parser.addoption("--times", metavar="FILE", help="append the processor time of every test to this file")
 
 
@@ -140,6 +149,9 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if records := config.getoption("unchanged"):
+        typed, worker = config.getoption("check_types"), hasattr(config, "workerinput")
+        config.pluginmanager.register(unchanged.Unchanged(Path(records), typed, worker))
     if config.getoption("check_types"):
         jaxtyping.install_import_hook("jaxwhisker", BEARTYPE)
     cache = getattr(config, "cache", None)

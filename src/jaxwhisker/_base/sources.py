@@ -90,18 +90,10 @@ def _imported(start: str, names: Iterable[str]) -> set[str]:
     return {start} | {f"{start}.{name}" for name in names if _path(f"{start}.{name}")}
 
 
-def _used_by(module: str, definition: str) -> set[str]:
+@functools.cache
+def _used_by(module: str, definition: str) -> frozenset[str]:
     """Modules that a definition uses, also through other definitions of its module."""
-    definitions: dict[str, ast.stmt] = {}
-    origin: dict[str, set[str]] = {}
-    for statement in _tree(module).body:
-        if isinstance(statement, ast.ImportFrom):
-            origin |= _origin_of(statement)
-        elif isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
-            definitions[statement.name] = statement
-        else:
-            stored = (node for node in ast.walk(statement) if isinstance(node, ast.Name))
-            definitions |= {node.id: statement for node in stored if isinstance(node.ctx, ast.Store)}
+    definitions, origin = _definitions(module)
     used, seen, rest = set(), set(), {definition}
     while rest:
         seen |= rest
@@ -112,7 +104,23 @@ def _used_by(module: str, definition: str) -> set[str]:
             if isinstance(node, ast.ImportFrom):
                 used.update(*_origin_of(node).values())
         rest = {node.id for node in nodes if isinstance(node, ast.Name)} - seen
-    return used
+    return frozenset(used)
+
+
+@functools.cache
+def _definitions(module: str) -> tuple[dict[str, ast.stmt], dict[str, set[str]]]:
+    """The definitions at the top level of a module, and the modules that its imports come from, both by name."""
+    definitions: dict[str, ast.stmt] = {}
+    origin: dict[str, set[str]] = {}
+    for statement in _tree(module).body:
+        if isinstance(statement, ast.ImportFrom):
+            origin |= _origin_of(statement)
+        elif isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
+            definitions[statement.name] = statement
+        else:
+            stored = (node for node in ast.walk(statement) if isinstance(node, ast.Name))
+            definitions |= {node.id: statement for node in stored if isinstance(node.ctx, ast.Store)}
+    return definitions, origin
 
 
 @functools.cache
