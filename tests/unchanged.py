@@ -153,7 +153,7 @@ class Unchanged:
             return {}
 
     @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
+    def pytest_collection_modifyitems(self, config: Any, items: list[Any]) -> None:
         """Leave out tests whose record has the digest of now."""
         records = self._read()
         kept, left_out = [], []
@@ -163,7 +163,7 @@ class Unchanged:
         items[:], self.left_out = kept, len(left_out)
         config.hook.pytest_deselected(items=left_out)
 
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+    def pytest_runtest_logreport(self, report: Any) -> None:
         """Note the outcome of a part of a test."""
         self.passed[report.nodeid] = self.passed.get(report.nodeid, True) and report.passed
 
@@ -173,7 +173,7 @@ class Unchanged:
         self.left_out = getattr(node, "workeroutput", {}).get("left out", self.left_out)
 
     @pytest.hookimpl(tryfirst=True)
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+    def pytest_sessionfinish(self, session: Any) -> None:
         """Write the records; a run in which nothing is left to do is a success."""
         if hasattr(session.config, "workeroutput"):
             session.config.workeroutput["left out"] = self.left_out

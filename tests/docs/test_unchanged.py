@@ -6,6 +6,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+
 import unchanged
 from unchanged import ROOT, TESTS, Unchanged, digest, names_used
 
