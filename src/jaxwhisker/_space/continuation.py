@@ -269,8 +269,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         )
 
     def written(self, march: MarchInSpace, trial: TrialInSpace, node, loss: Loss):
-        # While all whiskers are free, nothing happens between events.
-        plain = trial.stable & trial.stance.opens & jnp.any(march.phase != Phase.free)
+        plain = trial.stable & trial.stance.opens
         forks = ~trial.stable & loss.located & branches(march, trial)
         return plain | forks, select(forks, self._bifurcation(march, trial), node)
 
