@@ -93,6 +93,16 @@ def test_a_whisker_lies_on_a_wall_beyond_its_contact():
     assert np.sum(np.abs(off) < 1e-9) > 15 and np.min(off) > -1e-9
 
 
+@pytest.mark.parametrize("control", [None, np.linspace(0.4, -1.0, 15)])
+def test_a_base_that_arrives_at_a_wall_first_ends_the_scan_there(control):
+    """The whisker leans away from the wall, and is free up to there."""
+    result = jw.scan(jw.Scene(jw.Whisker(), jw.Plane((-0.55, 0.0, 0.0), (1.0, 0.2, 0.0))), control)
+    free = -np.asarray(result.control) < 0.55 + 1e-8  # a free whisker touches at a depth of 1e-9
+    assert free.any() and not free.all()
+    np.testing.assert_array_equal(result.status, np.where(free, 0, jw.Status.lost))
+    assert len(result.events) == 0
+
+
 def test_a_default_scan_into_a_wall_ends_where_the_base_arrives_there():
     wall = jw.Plane((-1.0, 0.0, 0.0), (1.0, -0.6, 0.2))
     found = jw.scan(jw.SpaceScene(jw.Whisker(), wall, motion=ALONG))

@@ -53,6 +53,24 @@ def test_slipping_contacts_agree_with_the_reference(row):
     np.testing.assert_allclose([u for _, u in events], [u for _, u in there], atol=2e-7)  # two grids differ by 3e-8
 
 
+@pytest.mark.parametrize("mu", [0.0, 1e-6])
+def test_with_hardly_any_friction_contacts_slip_back(mu):
+    """Without friction at a turn of the drive, nothing could hold a contact. What friction does is a multiple of it."""
+
+    def forces(mu):
+        result = jw.scan(past_a_ball(mu), BACK)
+        return result.force, result.status
+
+    without = jw.scan(past_a_ball(None), BACK).force
+    (force, status), slope = forces(mu), jax.jacfwd(lambda mu: forces(mu)[0])(mu)
+    assert np.all(status == 0)
+    np.testing.assert_allclose(force, without + mu * slope, atol=EXACT)
+    more = forces(mu + 3e-6)[0]
+    np.testing.assert_allclose((more - force) / 3e-6, slope, atol=SLOPE * np.max(np.abs(slope)))
+    there, back = BACK.tolist().index(0.6), BACK.tolist().index(0.35)
+    assert slope[there, 0, 0] * slope[back, 0, 0] < 0  # friction turns with the drive
+
+
 # Just before it comes free, such a contact sticks and slips in turn up to 300 times, ever more briefly.
 CYCLES = {
     "in time": (0.932879, (0, 1.55664, 0.153224), 0.410905, (-1.9957, -0.10929, -0.0724231), -0.00972975, 157),

@@ -42,6 +42,9 @@ from jaxwhisker._space.stance import stance_of
 SLIP_DEFECT = 1e-6  # of the rate at the start of a step, times its length, at which steps keep their length
 BRIEF_STEP = 1e-6  # behind a corner, within which contacts may begin or cease to slip
 LEAST_GRIP = 1e-9  # smaller margins of contacts that stick or slip have just been left
+# Contacts with less friction slip back as soon as they turn: they would stick over a travel of about mu f only, and
+# with no friction nothing could hold them.
+LEAST_FRICTION = 1e-5
 CYCLES = 24  # times as many nodes as without friction: contacts may stick and slip two hundred times
 
 
@@ -55,6 +58,7 @@ class ContinuationWithFriction(ContinuationInSpace):
         super().__init__(problem)
         assert problem.friction is not None
         self.friction = problem.friction
+        self.slips_back = self.friction < LEAST_FRICTION
 
     def capacity(self, stops):
         return CYCLES * super().capacity(stops)
@@ -210,11 +214,19 @@ class ContinuationWithFriction(ContinuationInSpace):
         ], [(loss, sliding(self.problem, at_loss))]
 
     def state_after(self, march: MarchInSpace, trial: TrialInSpace):
-        target, state = march.target, super().state_after(march, trial)
+        state, grips = super().state_after(march, trial), march.target.whiskers & (march.target.number == GRIP)
+        mode = mode_after(march.state.mode, grips, self._turns(march, trial), self.touching(march))
+        return state._replace(mode=jnp.where(self._slip_back(march, trial), int(SlipMode.slips), mode))
+
+    def _turns(self, march: MarchInSpace, trial: TrialInSpace):
+        """Whether the drive turns at the event."""
         heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - trial.point.u)
-        turns = (target.number == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
-        grips = target.whiskers & (target.number == GRIP)
-        return state._replace(mode=mode_after(march.state.mode, grips, turns, self.touching(march)))
+        return (march.target.number == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
+
+    def _slip_back(self, march: MarchInSpace, trial: TrialInSpace):
+        """Contacts whose traction turns round at the event."""
+        turn = self._turns(march, trial) | (march.target.whiskers & (march.target.number == GRIP))
+        return turn & self.slips_back & (march.state.mode == SlipMode.slips) & (trial.phase != Phase.free)
 
     def kinds(self, march: MarchInSpace, trial: TrialInSpace):
         sticks = jnp.any(march.target.whiskers & (march.state.mode == SlipMode.sticks))
@@ -223,7 +235,9 @@ class ContinuationWithFriction(ContinuationInSpace):
     def event_node(self, march: MarchInSpace, trial: TrialInSpace, found):
         _, node = super().event_node(march, trial, found)
         begun = first_traction(speeds(self.problem.surface, trial.point.z, trial.phase, trial.tangent.z))
-        traction = jnp.where(self.touching(march)[:, None], begun, trial.point.z[:, TRACTION])
+        slips_back = self._slip_back(march, trial)[:, None]
+        traction = jnp.where(slips_back, -trial.point.z[:, TRACTION], trial.point.z[:, TRACTION])
+        traction = jnp.where(self.touching(march)[:, None], begun, traction)
         node = node._replace(point=with_traction(node.point, traction))
         # At a loss, the path goes on as it arrives until contacts slide.
         loss = march.target.number == LOSS
@@ -244,7 +258,7 @@ class ContinuationWithFriction(ContinuationInSpace):
         slips = jnp.any(concerned & (march.state.mode == SlipMode.slips))
         back = jnp.where(jnp.any(concerned & (trial.stance.grip < 0)), -1.0, 1.0)
         along_drive = jnp.where(trial.tangent.u * direction < 0, -1.0, 1.0)
-        of_grip = jnp.where(slips, back, along_drive)
+        of_grip = jnp.where(slips & ~self.slips_back, back, along_drive)
         return jnp.where(number == GRIP, of_grip, super().leaves(march, trial, direction))
 
     def leaving(self, march: MarchInSpace, trial: TrialInSpace, onwards: MarchInSpace, sign):
@@ -257,11 +271,18 @@ class ContinuationWithFriction(ContinuationInSpace):
     def ways_on(self, march: MarchInSpace, onwards: MarchInSpace, node, trial: TrialInSpace, falls):
         assert march.slip is not None
         smooth = super().ways_on(march, onwards, node, trial, falls)
+        slipped = march.state.mode == SlipMode.slips
         mode, _ = mode_at_corner(self.problem, march.state, march.slip.begins, trial.point, onwards.tangent)
         changed = jnp.any(mode != march.state.mode)
         changes = march.slip.changes + 1
         often = changes > 2 * march.phase.size
-        again = march.replace(state=march.state._replace(mode=mode), slip=march.slip._replace(changes=changes))
+        back = self.slips_back & slipped & (mode == SlipMode.sticks)
+        traction = jnp.where(back[:, None], -1, 1) * march.point.z[:, TRACTION]
+        again = march.replace(
+            state=march.state._replace(mode=jnp.where(back, int(SlipMode.slips), mode)),
+            slip=march.slip._replace(changes=changes),
+            point=with_traction(march.point, traction),
+        )
         cases = [(changed & often, settling(self.problem, onwards)), (changed, again)]
         return WaysOn([*cases, *smooth.others], onwards, ~changed | often)
 

@@ -201,7 +201,9 @@ def _node_after(
     stages = stages_after(step)
     z, u = jax.tree.map(lambda leaf: leaf[-1], stages)
     z, u = jnp.where(snaps, start.z, z), jnp.where(snaps, jnp.where(kind == SETTLED, node.point.u, start.u), u)
-    traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], z[:, TRACTION])
+    back = jnp.sum(node.point.z[:, TRACTION] * node.z_before[:, TRACTION], axis=1) < 0  # contacts slip back
+    traction = jnp.where(back[:, None], -z[:, TRACTION], z[:, TRACTION])
+    traction = jnp.where(begins[:, None], node.point.z[:, TRACTION], traction)
     after = jnp.where(snaps, node.point.z, z).at[:, TRACTION].set(traction)
     after = jnp.where((node.state.phase == Phase.free)[:, None], node.point.z, after)
     rests = snaps & jnp.any(node.state.phase != Phase.free)
