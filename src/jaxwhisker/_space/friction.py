@@ -44,7 +44,7 @@ BRIEF_STEP = 1e-6  # behind a corner, within which contacts may begin or cease t
 LEAST_GRIP = 1e-9  # smaller margins of contacts that stick or slip have just been left
 # Contacts with less friction slip back as soon as they turn: they would stick over a travel of about mu f only, and
 # with no friction nothing could hold them.
-LEAST_FRICTION = 1e-5
+HARDLY_ANY = 1e-5
 CYCLES = 24  # times as many nodes as without friction: contacts may stick and slip two hundred times
 
 
@@ -58,7 +58,7 @@ class ContinuationWithFriction(ContinuationInSpace):
         super().__init__(problem)
         assert problem.friction is not None
         self.friction = problem.friction
-        self.slips_back = self.friction < LEAST_FRICTION
+        self.slips_back = self.friction < HARDLY_ANY
 
     def capacity(self, stops):
         return CYCLES * super().capacity(stops)
