@@ -140,13 +140,16 @@ def _before_wall(rng, wall, direction, tip):
 
 
 def _tried(rod, base, drive, rng, surfaces):
-    curved, cone = "curved" in rod, "cone" in rod
-    whisker, curvature, roll, taper = {}, np.zeros(3), 0.0, 0.0
+    curved, cone, strip = "curved" in rod, "cone" in rod, "strip" in rod
+    whisker, curvature, roll, taper, lateral = {}, np.zeros(3), 0.0, 0.0, 1.0
     ratio = float(rng.uniform(0.6, 0.8))
     if curved:
         curvature = np.array([0.0, -rng.uniform(-1.2, 1.2), rng.uniform(-0.8, 0.8)])
         whisker = {"intrinsic_curvature": float(-curvature[1]), "twist": float(curvature[2])}
-    if curved or drive == "whisk":
+    if strip:
+        lateral = float(np.exp(rng.uniform(np.log(0.3), np.log(50.0))))
+        whisker["lateral_ratio"] = lateral
+    if curved or strip or drive == "whisk":
         roll = float(rng.uniform(-np.pi, np.pi))
     if cone:
         taper = float(rng.uniform(0.3, 0.8))
@@ -172,7 +175,7 @@ def _tried(rod, base, drive, rng, surfaces):
         if inside is None:
             return None
         motion = jw.LinearDrive(tuple(map(float, direction)))
-        mount = jw.Mount(roll=roll) if curved else None
+        mount = jw.Mount(roll=roll) if curved or strip else None
 
         def placement(u):
             return u * direction, np.eye(3), turned
@@ -224,11 +227,16 @@ def _tried(rod, base, drive, rng, surfaces):
         placement,
         stiffness=(lambda s: (1 - taper * s) ** 4),
         torsion_ratio=ratio,
+        lateral_ratio=lateral,
         curvature=lambda s: curvature,
         springs=linear,
         tilting=tilting,
     )
-    return Drawn(scene, plain, f"{name} {size:.2f} {text} curv {curvature.round(2)} roll {roll:.2f} taper {taper:.2f}")
+    return Drawn(
+        scene,
+        plain,
+        f"{name} {size:.2f} {text} curv {curvature.round(2)} roll {roll:.2f} taper {taper:.2f} {lateral:.2g}",
+    )
 
 
 def drawn_before_two(kind: str, rng: np.random.Generator) -> Drawn:

@@ -7,7 +7,7 @@ import jaxwhisker as jw
 
 SPHERE = jw.Sphere(0.9, centre=(0.1, 1.3, 0.2))
 CIRCLE = jw.Circle(0.3, 0.5, position=0.1)
-CURVED = jw.Whisker(0.9, 0.3, -0.2, lateral_curvature=0.1, twist=0.2, torsion_ratio=0.8)
+CURVED = jw.Whisker(0.9, 0.3, -0.2, lateral_curvature=0.1, twist=0.2, torsion_ratio=0.8, lateral_ratio=2.0)
 TABLE = jw.Whisker(
     1.0, jw.Table([0.0, 0.4, 1.0], [1.0, 0.7, 0.2]), jw.Polynomial([0.1, 0.2], length=1.0), breaks=(0.4,)
 )

@@ -101,6 +101,7 @@ class Plain(NamedTuple):
     length: float = 1.0
     stiffness: Callable = lambda s: 1.0  # B(s)
     torsion_ratio: float = 2 / 3
+    lateral_ratio: float = 1.0  # stiffness about d1 divided by B
     curvature: Callable = lambda s: np.zeros(3)  # about d1, d2 and d3
     springs: np.ndarray = np.full(3, np.inf)  # along the axes of the drive
     tilting: np.ndarray = np.full(3, np.inf)  # about them
@@ -158,7 +159,9 @@ def _rods(plain: Plain, states: list[State], start: np.ndarray, stop: np.ndarray
     def slope(t, y):
         y = y.reshape(-1, 13)
         r, d, s = y[:, :3], y[:, 3:12].reshape(-1, 3, 3), start + t * span
-        stiffness = np.multiply.outer(np.broadcast_to(plain.stiffness(s), s.shape), [1.0, 1.0, plain.torsion_ratio])
+        stiffness = np.multiply.outer(
+            np.broadcast_to(plain.stiffness(s), s.shape), [plain.lateral_ratio, 1.0, plain.torsion_ratio]
+        )
         m = _cross(r - base, force) - moment if loaded else np.zeros_like(r)
         bend = np.einsum("nij,ni->nj", d, m) / stiffness
         k = plain.curvature(s) + bend
@@ -269,7 +272,7 @@ def stability(plain: Plain, state: State, elements: int = 60) -> float:
         at = slice(3 * k, 3 * k + 6)
         mean = np.hstack([np.eye(3), np.eye(3)]) / 2
         rate = np.hstack([-np.eye(3), np.eye(3)]) / h
-        stiffness = d @ np.diag(plain.stiffness(s) * np.array([1.0, 1.0, plain.torsion_ratio])) @ d.T
+        stiffness = d @ np.diag(plain.stiffness(s) * np.array([plain.lateral_ratio, 1.0, plain.torsion_ratio])) @ d.T
         elastic = h * rate.T @ stiffness @ rate
         # m.(phi x phi') = phi.(phi' x m) = -phi.(m x phi')
         twist = h * mean.T @ _hat(m) @ rate

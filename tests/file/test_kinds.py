@@ -9,7 +9,8 @@ import pytest
 import jaxwhisker as jw
 from jaxwhisker._file.kinds import FAMILIES, arguments_of, kind_name, kinds_of, scene_arguments
 
-REST = '[[objects]]\nkind = "circle"\ndistance = 0.3\nradius = 0.5\n'
+CIRCLE = '[[objects]]\nkind = "circle"\ndistance = 0.3\nradius = 0.5\n'
+SPHERE = '[[objects]]\nkind = "sphere"\nradius = 0.05\ncentre = [0.0, 0.1, 0.0]\n'
 
 # A table of each constructor, and the same part in Python.
 CONSTRUCTORS = {
@@ -31,6 +32,10 @@ CONSTRUCTORS = {
         lambda: jw.Whisker.from_table([0.0, 0.01, 0.02], youngs_modulus=3e9, diameter=[2e-4, 1.5e-4, 5e-5]),
     ),
     "rat": ('row = "C"\ncolumn = 2', lambda: jw.Whisker.rat("C", 2)),
+    "strip": (
+        "length = 0.1\nyoungs_modulus = 2e11\nwidth = 2e-3\nthickness = 2e-4\ndensity = 8000",
+        lambda: jw.Whisker.strip(0.1, 2e11, 2e-3, 2e-4, density=8000),
+    ),
     "clamped": ("", jw.Support.clamped),
     "fb": ("stiffness = 70", lambda: jw.Support.fb(70)),
     "fbfb": ("stiffness = [60, 70]\nrest_length = 0.1", lambda: jw.Support.fbfb((60, 70), 0.1)),
@@ -64,10 +69,11 @@ def test_constructors_make_the_parts(name, tmp_path):
     part = "whisker" if isinstance(make(), jw.Whisker) else "support"
     other = "" if part == "whisker" else "[whisker]\n"
     path = tmp_path / "sensor.toml"
-    path.write_text(f'{REST}{other}[{part}]\nkind = "{name.upper()}"\n{text}\n')
+    rest, body = (SPHERE, jw.Sphere(0.05, (0.0, 0.1, 0.0))) if name == "strip" else (CIRCLE, jw.Circle(0.3, 0.5))
+    path.write_text(f'{rest}{other}[{part}]\nkind = "{name.upper()}"\n{text}\n')
     scene = jw.load_scene(path)
     parts: Any = {"whisker": jw.Whisker()} | {part: make()}
-    expected = jw.Scene(profile=jw.Circle(0.3, 0.5), **parts)
+    expected = jw.Scene(profile=body, **parts)
     assert jax.tree.structure(scene) == jax.tree.structure(expected)
     for one, other in zip(jax.tree.leaves(scene), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)

@@ -66,6 +66,12 @@ def turned(q: Quaternion, a: Vector) -> Vector:
     return x, y, z
 
 
+def first_axis(q: Quaternion) -> Vector:
+    """The first column of the rotation matrix."""
+    w, x, y, z = q
+    return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
+
+
 def third_axis(q: Quaternion) -> Vector:
     """The third column of the rotation matrix."""
     w, x, y, z = q

@@ -156,7 +156,7 @@ class _Writer:
             diameter = self.expression(section.diameter, "diameter")
             text = f"jw.Whisker.from_material({material}, diameter={diameter}{density})"
         names = ("intrinsic_curvature", "mass_per_length", "tip_mass", "base_mass", "base_inertia", "torsion_ratio")
-        for name in (*names, "lateral_curvature", "twist", "breaks"):
+        for name in (*names, "lateral_ratio", "lateral_curvature", "twist", "breaks"):
             value = getattr(whisker, name)
             if value is not None and not isinstance(value, RoundMass):
                 further.append(f"{name}={self.expression(value, name)}")

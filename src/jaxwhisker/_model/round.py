@@ -1,8 +1,9 @@
-"""Whiskers with circular cross-sections, from materials and diameters or from those of rats."""
+"""Whiskers from materials: with circular cross-sections, also those of rats, and strips."""
 
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.data_files import published
@@ -20,7 +21,7 @@ from jaxwhisker._model.measured import Measured
 
 
 class Round(Measured):
-    """Constructors of whiskers with circular cross-sections."""
+    """Constructors of whiskers with circular cross-sections, and of strips."""
 
     @classmethod
     def from_material(
@@ -110,6 +111,56 @@ class Round(Measured):
         return cls.from_material(length, youngs_modulus, taper, **further)
 
     @classmethod
+    def strip(
+        cls: Any,
+        length: Scalar,
+        youngs_modulus: Scalar,
+        width: Scalar,
+        thickness: Scalar,
+        *,
+        intrinsic_curvature: AlongWhisker | None = None,
+        density: Scalar | None = None,
+        poisson_ratio: Scalar = 0.3,
+    ) -> Any:
+        """A strip of rectangular cross-section, w by t, for scenes in space: EI = E w t^3 / 12 in the plane.
+
+        Its faces look along x where it stands upright. Against bending towards z it is (w / t)^2 times as stiff, which
+        is the `lateral_ratio`. `Mount(roll=)` turns it about its axis.
+
+        Args:
+            length: L, m; positive.
+            youngs_modulus: E, Pa; positive.
+            width: w, along z, m; positive.
+            thickness: t, along x, m; positive.
+            intrinsic_curvature: 1/m, a number or a function, as for any whisker. Default: straight.
+            density: rho, kg/m^3; positive. Default: unknown.
+            poisson_ratio: nu, above -1 and at most 0.5, of which the stiffness against torsion follows.
+
+        Raises:
+            ValueError: as for a Whisker, or if width or thickness is more than a fifth of the length.
+
+        Examples:
+            >>> strip = jw.Whisker.strip(length=0.1, youngs_modulus=2e11, width=2e-3, thickness=2e-4)
+            >>> print(f"{strip.bending_stiffness:.2e}, {strip.lateral_ratio:.0f}, {strip.torsion_ratio:.3f}")
+            2.67e-04, 100, 1.442
+
+        Source: Timoshenko and Goodier (1970), Theory of Elasticity, section 109, for the torsion of rectangular bars.
+        """
+        given = {"youngs_modulus": youngs_modulus, "width": width, "thickness": thickness}
+        for name, value in (given if density is None else given | {"density": density}).items():
+            checks.number(name, value, positive=True)
+        check_slender("width", width, length)
+        check_slender("thickness", thickness, length)
+        return cls(
+            length,
+            youngs_modulus * width * thickness**3 / 12,
+            intrinsic_curvature,
+            mass_per_length=None if density is None else density * width * thickness,
+            torsion_ratio=2 * _torsion_ratio(poisson_ratio) * _torsion_of_rectangle(width / thickness),
+            lateral_ratio=(width / thickness) ** 2,
+        )
+
+    @classmethod
     def rat(
         cls: Any,
         row: str,
@@ -176,6 +227,14 @@ class Round(Measured):
             intrinsic_curvature = ParabolicShape(parabola)
         further = {"intrinsic_curvature": intrinsic_curvature, "density": density, "poisson_ratio": poisson_ratio}
         return cls.conical(arc * 1e-3, youngs_modulus, base * 1e-3, tip * 1e-3, **further)
+
+
+def _torsion_of_rectangle(slenderness: Scalar) -> Scalar:
+    """J of a rectangle w by t divided by w t^3 / 3, at this w / t."""
+    odd = np.arange(1, 40, 2)
+    # Where it is large, the hyperbolic tangent is 1 to the last digit.
+    series = jnp.sum(jnp.tanh(jnp.minimum(odd * np.pi / 2 * slenderness, 20.0)) / odd**5)
+    return 1 - 192 / np.pi**5 * series / slenderness
 
 
 def _torsion_ratio(poisson_ratio: Scalar | None) -> Scalar | None:

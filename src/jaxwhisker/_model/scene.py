@@ -290,7 +290,7 @@ def check_in_plane(whiskers: tuple[Whisker, ...], support: Support) -> None:
     Raises:
         ValueError: if they need an object in space; it names the argument.
     """
-    for name in ("lateral_curvature", "twist"):
+    for name in ("lateral_ratio", "lateral_curvature", "twist"):
         value = next((own for whisker in whiskers if (own := getattr(whisker, name)) is not None), None)
         if value is not None:
             text = f"{name_of(value)}(s)" if callable(value) else as_text(value)

@@ -19,6 +19,7 @@ from jaxwhisker._model.round import Round
 from jaxwhisker._rod.rod import Section, at_arc
 
 CURVATURES = ("intrinsic_curvature", "lateral_curvature", "twist")
+RATIOS = ("torsion_ratio", "lateral_ratio")  # to the bending stiffness
 POISSON_RATIO = 0.3  # of a round rod whose torsional stiffness is not given
 
 
@@ -46,6 +47,9 @@ class Whisker(Round, metaclass=Suggesting):
             negative. Default: none.
         torsion_ratio: GJ / EI, a positive number that is the same everywhere along the whisker. Only needed in space,
             where curved whiskers twist. Default: 1 / (1 + nu) of a round whisker, with Poisson's ratio nu = 0.3.
+        lateral_ratio: EI of a strip against bending out of the plane, towards z, divided by the `bending_stiffness`,
+            which is that against bending in the plane: a positive number that is the same everywhere along the whisker.
+            Only for objects in space. Default: a whisker that is as stiff in every direction.
         lateral_curvature: k1 of the unloaded whisker, 1/length: a number, or a function like that of the bending
             stiffness. Positive bends an upright whisker out of the plane towards +z; the intrinsic curvature is
             kappa0 = -k2. Only for objects in space. Default: none.
@@ -57,8 +61,8 @@ class Whisker(Round, metaclass=Suggesting):
             then a warning says where functions are not resolved.
 
     Raises:
-        ValueError: if the length is not a positive finite number, the bending stiffness, the mass per length or the
-            torsion ratio is not positive and finite, another mass is negative, JAX cannot trace a function with one
+        ValueError: if the length is not a positive finite number, the bending stiffness, the mass per length or a
+            ratio is not positive and finite, another mass is negative, JAX cannot trace a function with one
             number as its argument, the unloaded whisker turns by a right angle or more, or breaks are not inside the
             whisker, not in ascending order, or given without a function.
 
@@ -82,6 +86,7 @@ class Whisker(Round, metaclass=Suggesting):
     base_mass: Scalar | None = eqx.field(default=None, kw_only=True)
     base_inertia: Scalar | None = eqx.field(default=None, kw_only=True)
     torsion_ratio: Scalar | None = eqx.field(default=None, kw_only=True)
+    lateral_ratio: Scalar | None = eqx.field(default=None, kw_only=True)
     lateral_curvature: AlongWhisker | None = eqx.field(
         default=None, kw_only=True, converter=number_or_function("lateral_curvature")
     )
@@ -95,8 +100,9 @@ class Whisker(Round, metaclass=Suggesting):
         for name in CURVATURES:
             if getattr(self, name) is not None and not callable(getattr(self, name)):
                 checks.number(name, getattr(self, name))
-        if self.torsion_ratio is not None:
-            checks.number("torsion_ratio", self.torsion_ratio, positive=True)
+        for name in RATIOS:
+            if getattr(self, name) is not None:
+                checks.number(name, getattr(self, name), positive=True)
         if not callable(self.bending_stiffness):
             checks.number("bending_stiffness", self.bending_stiffness, positive=True)
         if self.uniform or checks.is_traced(self):
@@ -157,8 +163,8 @@ class Whisker(Round, metaclass=Suggesting):
 
     @property
     def needs_space(self) -> bool:
-        """Whether the unloaded whisker has a lateral curvature or a twist, which the plane has no room for."""
-        return self.lateral_curvature is not None or self.twist is not None
+        """Whether the whisker is a strip, or has a lateral curvature or a twist, which the plane has no room for."""
+        return any(getattr(self, name) is not None for name in ("lateral_ratio", "lateral_curvature", "twist"))
 
     @property
     def torsion(self) -> Scalar:
@@ -179,9 +185,9 @@ class Whisker(Round, metaclass=Suggesting):
         length, (_, stiff) = jnp.asarray(self.length), self._samples(self.bending_stiffness)
         if self.breaks is not None:
             stiff &= _inside(jnp.asarray(self.breaks), length, jnp)
-        if self.torsion_ratio is not None:
-            torsion = jnp.asarray(self.torsion_ratio)
-            stiff &= (torsion > 0) & jnp.isfinite(torsion)
+        for ratio in (self.torsion_ratio, self.lateral_ratio):
+            if ratio is not None:
+                stiff &= (jnp.asarray(ratio) > 0) & jnp.isfinite(ratio)
         return jnp.isfinite(length) & (length > 0) & jnp.all(stiff) & (self._largest_turn() < jnp.pi / 2)
 
     def valid_masses(self) -> Bool[Array, ""]:

@@ -28,6 +28,8 @@ class BentRod(NamedTuple):
     tangent: Float[Array, "points 3"]
     force: Float[Array, "points 3"]  # of everything beyond
     moment: Float[Array, "points 3"]
+    # Of a strip: stiffness against bending about d1 divided by B, and d1.
+    lateral: tuple[Scalar, Float[Array, "points 3"]] | None = None
 
 
 class Followers(NamedTuple):
@@ -62,6 +64,9 @@ def stiffness_of(
     force, tangent = rod.force, rod.tangent
     bending, along = rod.stiffness[:, None, None], tangent[:, :, None] * tangent[:, None, :]
     stiffness = bending * (jnp.eye(3) - (1 - rod.torsion_ratio) * along)
+    if rod.lateral is not None:
+        ratio, first = rod.lateral
+        stiffness -= (1 - ratio) * bending * first[:, :, None] * first[:, None, :]
     tension = jnp.sum(force * tangent, axis=-1)[:, None, None]
     loading = tension * jnp.eye(3) - force[:, :, None] * tangent[:, None, :]
 

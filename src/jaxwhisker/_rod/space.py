@@ -1,12 +1,14 @@
 """The rod in space, with intrinsic curvature and torsion, integrated from a loaded point back to its base.
 
 The rotation R = [d1 d2 d3] turns the axes into the directions of the rod's cross-section, d3 being the tangent. With
-the bending stiffness B = EI, the torsional stiffness C, and force F and moment M0 about the origin at the start,
+the bending stiffness B = EI, B1 about d1 (B, but for a strip), the torsional stiffness C, and force F and moment M0
+about the origin at the start,
 
-    dr/ds = d3,  dR/ds = R k^,  k = kappa0 + (m.d1 / B, m.d2 / B, m.d3 / C),  m = M0 + F x r.
+    dr/ds = d3,  dR/ds = R k^,  k = kappa0 + (m.d1 / B1, m.d2 / B, m.d3 / C),  m = M0 + F x r.
 
 As in the plane, two flows alternate, and both are exact: a shift along the tangent, during which m.d3 is constant and
-the rod twists by (1/C - 1/B) m.d3, and a rotation exp(h m / B) R exp(h kappa0) at constant moment.
+the rod twists by (1/C - 1/B) m.d3, and a rotation exp(h m / B) R exp(h kappa0) at constant moment. A strip has a third
+one, on both sides of the rotation: a bend by (1/B1 - 1/B) m.d1, during which m.d1 is constant.
 
 A change of the state is the change of r and the vector w of a rotation by which R changes: dR = w^ R. The flows change
 it linearly: several changes along with the state take a quarter of the time of general forward derivatives.
@@ -29,6 +31,7 @@ from jaxwhisker._base.quaternions import (
     change_after,
     cross,
     dot,
+    first_axis,
     inverse_rotation,
     pivot,
     plus,
@@ -57,6 +60,7 @@ class SpaceSection(eqx.Module):
     length_unit: Scalar = 1.0  # in the scene's units
     stiffness_unit: Scalar = 1.0  # of EI, in the scene's units
     breaks: Along | None = None  # arc lengths at which a function jumps or has a kink, in the scene's units
+    lateral_ratio: Scalar | None = None  # stiffness against bending about d1 divided by EI; None: they are equal
 
     @property
     def uniform(self) -> bool:
@@ -68,6 +72,11 @@ class SpaceSection(eqx.Module):
         """Torsional compliance minus that of bending, relative to the latter; None if it is known to be zero."""
         ratio = self.torsion_ratio
         return None if ratio is None or (isinstance(ratio, int | float) and ratio == 1) else 1 / ratio - 1
+
+    @property
+    def lateral_excess(self) -> Scalar | None:
+        """Compliance of bending about d1 minus that about d2, relative to the latter; None if they are equal."""
+        return None if self.lateral_ratio is None else 1 / self.lateral_ratio - 1
 
     @property
     def in_plane(self) -> Section | None:
@@ -129,6 +138,7 @@ class _SplittingStage(eqx.Module):
     tangent: Vector
     bend: Scalar | None = None  # angle by m
     rotation: Pivot | None = None
+    sides: tuple[tuple[Scalar, Vector], ...] = ()  # angles by m.d1 before and after the rotation, and d1
 
     def change(self, change: Change, load: SpaceLoad, load_change: SpaceLoad) -> Change:
         """The change after this stage, from that before it and that of the load."""
@@ -136,12 +146,19 @@ class _SplittingStage(eqx.Module):
         turn = cross(w, self.tangent)
         r = plus(r, times(self.length, turn))
         moment = plus(cross(load.force, r), load_change.moment_at(self.r))
+
+        def bent(w: Vector, angle: Scalar, axis: Vector) -> Vector:
+            """The rotation after one about an axis of the rod, by the moment about it."""
+            about = total(dot(moment, axis), dot(load.moment_at(self.r), cross(w, axis)))
+            return plus(w, times(angle * about, axis))
+
         if self.twist is not None:
-            about = total(dot(moment, self.tangent), dot(load.moment_at(self.r), turn))
-            w = plus(w, times(self.twist * about, self.tangent))
+            w = bent(w, self.twist, self.tangent)
+        if self.sides:
+            w = bent(w, *self.sides[0])
         if self.rotation is not None:
             w = change_after(self.rotation, w, times(self.bend, moment))
-        return r, w
+        return r, bent(w, *self.sides[1]) if self.sides else w
 
 
 def _step(
@@ -150,9 +167,9 @@ def _step(
     """The state after a step, and its changes, if there are any, along a leading axis."""
     (t0, t1, between), load, section = ends, rod.load, rod.section
     h = (t0 - t1) * rod.arc
-    excess = section.excess
-    # The order conditions of the method with 11 rotations hold for uniform rods without twist only.
-    shifts, rotations = METHODS[11 if section.uniform and excess is None else 10]
+    excess, lateral = section.excess, section.lateral_excess
+    # The order conditions of the method with 11 rotations hold for uniform rods of two flows only.
+    shifts, rotations = METHODS[11 if section.uniform and excess is None and lateral is None else 10]
 
     def shifted(state: SpaceState, fraction: Scalar, twist: Scalar | None) -> tuple[SpaceState, _SplittingStage]:
         r, q = state
@@ -175,10 +192,18 @@ def _step(
         if excess is not None:
             twist, due = due + before * h * excess * compliance, after * h * excess * compliance
         (r, q), stage = shifted(state, shift, twist)
-        bend = rotation * h * compliance
-        by = pivot(times(bend, load.moment_at(r)))
+        bend, moment = rotation * h * compliance, load.moment_at(r)
+        by = pivot(times(bend, moment))
+
+        def sideways(q: Quaternion, part: Scalar) -> tuple[Quaternion, tuple]:
+            angle, axis = part * h * lateral * compliance, first_axis(q)
+            return product(q, small_rotation((angle * dot(moment, axis), None, None))), ((angle, axis),)
+
+        q, first = (q, ()) if lateral is None else sideways(q, before)
         q = product(product(by.q, q), small_rotation(times(rotation * h, section.intrinsic(s))))
-        return ((r, q), due, through(dataclasses.replace(stage, bend=bend, rotation=by), change)), None
+        q, last = (q, ()) if lateral is None else sideways(q, after)
+        stage = dataclasses.replace(stage, bend=bend, rotation=by, sides=(*first, *last))
+        return ((r, q), due, through(stage, change)), None
 
     fractions = shifts[:-1], rotations, np.cumsum(shifts)[:-1], *_divided(shifts, rotations)
     due = None if excess is None else jnp.zeros_like(h)
@@ -261,4 +286,6 @@ def curvature(state: SpaceState, load: SpaceLoad, section: SpaceSection, s: Scal
     k1, k2, k3 = times(section.compliance(s), turned(inverse_rotation(q), load.moment_at(r)))
     if section.excess is not None:
         k3 = k3 * (1 + section.excess)
+    if section.lateral_ratio is not None:
+        k1 = k1 / section.lateral_ratio
     return plus((k1, k2, k3), section.intrinsic(s))

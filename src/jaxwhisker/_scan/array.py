@@ -42,7 +42,7 @@ ANGLES = ("protraction", "elevation", "roll")
 RATES = ("protraction_rate", "elevation_rate", "roll_rate")
 ROUND = ("base_diameter", "tip_diameter", "youngs_modulus")
 STIFF = ("base_stiffness", "taper")
-SHAPE = ("parabola", "curvature", "lateral_curvature", "twist", "torsion_ratio")
+SHAPE = ("parabola", "curvature", "lateral_curvature", "twist", "torsion_ratio", "lateral_ratio")
 SPRINGS = {f"spring_{axis}": axis for axis in ("x", "y", "z", "phi_x", "phi", "phi_y")}
 COLUMNS = ("name", *PLACES, *ANGLES, *RATES, "length", *ROUND, *STIFF, *SHAPE, *SPRINGS)
 ALLOWED = f"among {', '.join(COLUMNS)}"
@@ -67,7 +67,7 @@ class Array(eqx.Module, metaclass=Suggesting):
             - `base_diameter`, `tip_diameter`, `youngs_modulus`: of a cone of this material.
             - or `base_stiffness`: EI at the base, 1 by default, and `taper`: the share by which the diameter falls.
             - `parabola`: A of an unloaded shape y = A x^2, or `curvature`: intrinsic curvature, 1/length; and
-              `lateral_curvature`, `twist`, `torsion_ratio`, as for a Whisker.
+              `lateral_curvature`, `twist`, `torsion_ratio`, `lateral_ratio`, as for a Whisker.
             - `spring_x`, `spring_y`, `spring_z`, `spring_phi_x`, `spring_phi`, `spring_phi_y`: stiffness of the springs
               between drive and base. Default: clamped.
             - `name`: a text. Default: the number of the row, from 1.
@@ -332,7 +332,7 @@ def _whisker(row: dict[str, float]) -> Whisker:
         if not 0 <= row["taper"] <= 1:
             checks.fail("taper", "a number from 0 to 1", row["taper"])
         stiffness = PowerTaper(stiffness, row["taper"], length)
-    others = {key: row[key] for key in ("lateral_curvature", "twist", "torsion_ratio") if key in row}
+    others = {key: row[key] for key in SHAPE[2:] if key in row}
     return Whisker(length, stiffness, curvature, **others)
 
 

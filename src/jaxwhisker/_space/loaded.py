@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import eigenvalues_are_positive, solve
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
-from jaxwhisker._base.quaternions import Vector, inverse_rotation, product, third_axis
+from jaxwhisker._base.quaternions import Vector, first_axis, inverse_rotation, product, third_axis
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.line_loads import ScaledLineLoad, density_of, ends_of_lines, lines_of
 from jaxwhisker._model.loads import LineLoad
@@ -165,7 +165,10 @@ def stiffness(
     flexible = jax.vmap(rods.section.compliance)(found.s)
     bending = jnp.where(flexible > 0, 1 / jnp.where(flexible > 0, flexible, 1.0), 0.0)
     ratio = 1.0 if rods.section.excess is None else 1 / (1 + rods.section.excess)
-    rod, none = BentRod(bending, ratio, tangent, force, moment), jnp.zeros_like(force)
+    lateral = rods.section.lateral_ratio
+    if lateral is not None:
+        lateral = lateral, jnp.stack(first_axis(found.states[1]), axis=-1)
+    rod, none = BentRod(bending, ratio, tangent, force, moment, lateral), jnp.zeros_like(force)
     elastic = stiffness_of(rod._replace(force=none, moment=none), fields, slopes, weights)
     places, follows = rods.loads.position, rods.loads.follower[:, None]
     before = jnp.where(found.s < places[:, None], 1.0, 0.0)

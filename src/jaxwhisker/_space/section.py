@@ -25,7 +25,8 @@ def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar)
     bow, breaks = whisker.intrinsic_curvature, whisker.breaks
     second = None if bow is None else Opposite(bow) if callable(bow) else -jnp.asarray(bow)
     curvatures = whisker.lateral_curvature, second, whisker.twist
-    if any(curvature is not None for curvature in curvatures):
+    ratio = whisker.lateral_ratio
+    if ratio is not None or any(curvature is not None for curvature in curvatures):
         # One kind of curved whiskers instead of seven costs a whisker curved in one way two percent of the operations.
         first, second, third = (jnp.zeros(()) if curvature is None else curvature for curvature in curvatures)
         curvatures = first, second, third
@@ -36,4 +37,5 @@ def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar)
         jnp.asarray(length_unit, dtype=float),
         jnp.asarray(stiffness_unit, dtype=float),
         None if breaks is None else jnp.asarray(breaks),
+        None if ratio is None else jnp.asarray(ratio, dtype=float),
     )

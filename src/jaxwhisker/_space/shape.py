@@ -95,5 +95,6 @@ def bending_of(whisker: Whisker, at: Any, s: rod.Along, intervals: int) -> tuple
     moment = jnp.stack(turned(inverse_rotation(q), load.moment_at(r)), axis=-1)
     moment = jnp.where((touches & (s < arc))[:, None], moment, 0.0)
     about_tangent = 1.0 if section.excess is None else 1 + section.excess
-    compliance = jax.vmap(section.compliance)(s)[:, None] * jnp.stack([1.0, 1.0, about_tangent])
+    sideways = 1.0 if section.lateral_ratio is None else 1 / section.lateral_ratio
+    compliance = jax.vmap(section.compliance)(s)[:, None] * jnp.stack([sideways, 1.0, about_tangent])
     return moment, compliance * moment
