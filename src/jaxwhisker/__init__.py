@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from jaxwhisker._inverse.reconstruct import reconstruct
     from jaxwhisker._inverse.statistics import FitStatus
     from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, WhiskDrive
+    from jaxwhisker._model.harmonics import SphericalHarmonics
     from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce, SpaceMoment
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
     from jaxwhisker._model.rounded import Capsule, RoundedBox
@@ -136,6 +137,7 @@ __all__ = [
     "SpaceShapes",
     "SpaceState",
     "Sphere",
+    "SphericalHarmonics",
     "Splitting",
     "Spring",
     "State",
@@ -207,6 +209,7 @@ _LATER = {
     "_model.drives": ("LinearDrive", "PoseDrive", "RotaryDrive", "WhiskDrive"),
     "_model.loads": ("LineLoad", "PointForce", "PointMoment", "SpaceForce", "SpaceMoment"),
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Plane", "Sphere"),
+    "_model.harmonics": ("SphericalHarmonics",),
     "_model.rounded": ("Capsule", "RoundedBox"),
     "_model.solids": ("Extruded", "Revolved", "Surface"),
     "_model.space_scene": ("SpaceScene",),

@@ -29,6 +29,7 @@ from jaxwhisker._model.contour import Contour
 from jaxwhisker._model.cut import Cut
 from jaxwhisker._model.drives import LinearDrive, PoseDrive, RotaryDrive, SpaceMotion, WhiskDrive
 from jaxwhisker._model.foundation import Foundation
+from jaxwhisker._model.harmonics import SphericalHarmonics
 from jaxwhisker._model.motion import AbstractMotion, Motion, Mount, Rotation, Translation
 from jaxwhisker._model.pipe import Pipe
 from jaxwhisker._model.polygon import Box, Polygon
@@ -57,6 +58,7 @@ FAMILIES: dict[Any, tuple[type, ...]] = {
         Cylinder,
         Capsule,
         RoundedBox,
+        SphericalHarmonics,
         Plane,
         Paraboloid,
         Extruded,
