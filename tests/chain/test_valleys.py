@@ -30,7 +30,7 @@ def found(wave: Wave, shaft: WholeShaft):
     """The arc length from the tip to the lowest valley, and whether there is one."""
     along = gap_facing(jw.Graph(wave), shaft)
     assert along is not None
-    valley = lowest_valley(along, shaft, jnp.asarray(0))
+    valley = lowest_valley(along, CELLS, shaft.starts == 0, shaft.ends == 0)
     return float(valley.index + valley.share) / CELLS, bool(valley.some)
 
 

@@ -136,7 +136,7 @@ def _of_smooth(
     rate = -(shaft.cos * normal_x + shaft.sin * normal_y)
     beside = gap_facing(one, shaft)
     along = GapAlong(gap, rate, shaft.beyond) if beside is None else beside
-    lowest = lowest_valley(along, shaft, first)
+    lowest = lowest_valley(along, shaft.x.shape[1] - 1, shaft.starts == first, shaft.ends == first)
     segment, index, t0 = lowest.segment, lowest.index, lowest.share
     cell = cell_of(shaft, segment, index)
 

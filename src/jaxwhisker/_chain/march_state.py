@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -10,6 +9,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState, unused
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.newton import ChainSolution
+from jaxwhisker._chain.rows import with_row, without_row
 from jaxwhisker._equilibrium.friction import slipping_from
 from jaxwhisker._equilibrium.point import Contacts, Point
 from jaxwhisker._path.march_state import MarchState
@@ -95,29 +95,12 @@ class TrialOfChain(NamedTuple):
 
 def inserted(z: Contacts, state: ChainState, new: NewContact, contacts: int) -> tuple[Contacts, ChainState]:
     """The contacts with a new one; those of its whisker that follow it move on by one place."""
-    index = jnp.arange(z.shape[0])
-    moves = (index > new.row) & (index // contacts == new.row // contacts)
-    source, here = jnp.where(moves, index - 1, index), index == new.row
-
-    def put(leaf, own):
-        moved = leaf[source]
-        return jnp.where(here[:, None] if leaf.ndim > 1 else here, own, moved)
-
     begun = None if state.friction is None else slipping_from(new.side)
-    own = ChainState(new.phase, new.side, new.piece, begun)
-    return put(z, new.numbers), jax.tree.map(put, state, own)
+    own = new.numbers, ChainState(new.phase, new.side, new.piece, begun)
+    return with_row((z, state), new.row, own, contacts)
 
 
 def removed(z: Contacts, state: ChainState, rows: Bool[Array, " rows"], contacts: int) -> tuple[Contacts, ChainState]:
     """The contacts without one of these rows; those of its whisker that follow it move back by one place."""
-    index, gone = jnp.arange(z.shape[0]), jnp.any(rows)
-    row = jnp.argmax(rows)
-    moves = gone & (index >= row) & (index // contacts == row // contacts)
-    at_end = index % contacts == contacts - 1
-    source, empty = jnp.where(moves & ~at_end, index + 1, index), moves & at_end
-
-    def taken(leaf, nothing):
-        moved = leaf[source]
-        return jnp.where(empty[:, None] if leaf.ndim > 1 else empty, nothing, moved)
-
-    return taken(z, 0.0), jax.tree.map(taken, state, unused(z.shape[0], friction=state.friction is not None))
+    nothing = jnp.zeros_like(z), unused(z.shape[0], friction=state.friction is not None)
+    return without_row((z, state), rows, nothing, contacts)

@@ -106,16 +106,16 @@ class Cell(NamedTuple):
 
     beyond: Scalar
     length: Scalar
-    coefficients: Float[Array, "6 2"]
+    coefficients: Float[Array, "6 axes"]
 
-    def point(self, t: Scalar) -> Float[Array, "2"]:
+    def point(self, t: Scalar) -> Float[Array, " axes"]:
         """Position at t."""
         value = self.coefficients[5]
         for k in range(4, -1, -1):
             value = value * t + self.coefficients[k]
         return value
 
-    def direction(self, t: Scalar) -> Float[Array, "2"]:
+    def direction(self, t: Scalar) -> Float[Array, " axes"]:
         """Derivative of the position by t: towards the base."""
         rate = 5 * self.coefficients[5]
         for k in range(4, 0, -1):
@@ -133,8 +133,16 @@ def cell_of(shaft: WholeShaft, segment: Int[Array, ""], k: Int[Array, ""]) -> Ce
         bend = kappa * h**2
         return jnp.stack([x, y]), -h * jnp.stack([cos, sin]), bend * jnp.stack([-sin, cos])
 
-    (p, v, a), (q, w, b) = jet(here), jet(there)
+    return cell_between(here[0], h, jet(here), jet(there))
+
+
+Jet = tuple[Float[Array, " axes"], Float[Array, " axes"], Float[Array, " axes"]]  # position, and two derivatives by t
+
+
+def cell_between(beyond: Scalar, length: Scalar, start: Jet, end: Jet) -> Cell:
+    """The cell between two points."""
+    (p, v, a), (q, w, b) = start, end
     d = q - p - v - a / 2
     e, f = w - v - a, b - a
     coefficients = [p, v, a / 2, 10 * d - 4 * e + f / 2, -15 * d + 7 * e - f, 6 * d - 3 * e + f / 2]
-    return Cell(here[0], h, jnp.stack(coefficients))
+    return Cell(beyond, length, jnp.stack(coefficients))

@@ -20,6 +20,9 @@ WITHIN = 6  # samples within a cell of the shaft: its longest cells are 0.13 of 
 OWN = 0.01  # share of a cell from a contact within which the minimum is that of the contact itself
 
 
+OfSegments = Bool[Array, " segments"]
+
+
 class GapAlong(NamedTuple):
     """The gap along a shaft, at all of its points and at a number of places between each two of them."""
 
@@ -60,18 +63,21 @@ def gap_facing(one: AbstractProfile, shaft: WholeShaft) -> GapAlong | None:
     return GapAlong(*along(jnp.arange(segments), jnp.asarray(k), jnp.asarray(sample / WITHIN - k)))
 
 
-def lowest_valley(along: GapAlong, shaft: WholeShaft, piece: Int[Array, ""]) -> Valley:
-    """The lowest minimum of the gap to an object, besides those at contacts with this piece."""
+def lowest_valley(along: GapAlong, cells: int, starts: OfSegments, ends: OfSegments) -> Valley:
+    """The lowest minimum of the gap to an object along a shaft, besides those at contacts with it.
+
+    `cells` is the number of cells of a segment; `starts` and `ends` tell which segments start and end at such contacts.
+    """
     gap, rate, beyond = along
     lengths = beyond[:, 1:] - beyond[:, :-1]
     cubic = Cubic(gap[:, :-1], gap[:, 1:], lengths * rate[:, :-1], lengths * rate[:, 1:])
     share = cubic.minimum()
     number = np.arange(share.shape[1])
-    starts, ends = (shaft.starts == piece)[:, None], (shaft.ends == piece)[:, None]
-    own = (starts & (number == 0) & (share < OWN)) | (ends & (number == number[-1]) & (share > 1 - OWN))
+    starts, ends = starts[:, None] & (number == 0), ends[:, None] & (number == number[-1])
+    own = (starts & (share < OWN)) | (ends & (share > 1 - OWN))
     valleys = jnp.where((share >= 0) & (share <= 1) & ~own, cubic.value(share), jnp.inf)
     k = jnp.argmin(valleys)
-    within = share.shape[1] // (shaft.x.shape[1] - 1)
+    within = share.shape[1] // cells
     segment, sample = k // number.size, k % number.size
     in_cell = (sample % within + jnp.ravel(share)[k]) / within
     return Valley(jnp.isfinite(jnp.min(valleys)), segment, sample // within, in_cell, jnp.asarray(1 / within))
