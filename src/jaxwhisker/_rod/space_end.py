@@ -74,7 +74,7 @@ def _(primals, tangents):
     return end if steps == rate_steps else space_rod_end(*primals), total(*terms)
 
 
-def _longer(state: SpaceState, load: SpaceLoad, section: SpaceSection, s: Scalar) -> Change:
+def longer(state: SpaceState, load: SpaceLoad, section: SpaceSection, s: Scalar) -> Change:
     """Change of a state towards the base, per arc length."""
     q = state[1]
     return opposite(third_axis(q)), opposite(turned(q, curvature(state, load, section, s)))
@@ -90,13 +90,13 @@ def _end_and_slopes(
     by_force, by_chi, by_gamma = (still, still), (still, (zero, one, zero)), (still, third_axis(start[1]))
     changes = [by_force, by_chi, by_gamma]
     if not section.uniform:
-        changes.append(_longer(start, load, section, arc))
+        changes.append(longer(start, load, section, arc))
     first = jax.tree.map(lambda *parts: jnp.stack(parts), *changes)
     by_load = SpaceLoad((None, None, jnp.eye(len(changes))[0]))
     end, last = with_changes(start, (first, by_load), arc, load, section, steps=steps, from_base=arc)
     changes = [jax.tree.map(lambda leaf, k=k: leaf[k], last) for k in range(len(changes))]
     if section.uniform:
-        changes.append(_longer(end, load, section, zero))
+        changes.append(longer(end, load, section, zero))
     r, q = end
     by_force, by_chi, by_gamma, by_arc = (
         jnp.stack([*r, *product((None, *times(0.5, turn)), q)]) for r, turn in changes
