@@ -155,9 +155,22 @@ def test_hollow_objects_need_several_contacts(profile):
     assert "up to 2 contacts" in str(jw.Scene(jw.Whisker(), profile, contacts=2))
 
 
-def test_whiskers_in_space_have_one_contact():
-    with pytest.raises(ValueError, match="`contacts` must be 1 in space, got 2"):
-        jw.Scene(jw.Whisker(), jw.Sphere(1.0, (0.0, 5.0, 0.0)), contacts=2)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"contacts": 0}, "`contacts` must be a positive int, got 0"),
+        ({"contacts": MOST_CONTACTS + 1}, f"`contacts` must be at most {MOST_CONTACTS}, got {MOST_CONTACTS + 1}"),
+        ({"friction": 0.3}, "`friction` must be None for several contacts in space, got 0.3"),
+        ({"rod": jw.ClosedForm()}, "`rod` must be Shooting\\(\\) for several contacts, got"),
+        ({"gravity": (0.0, -9.81)}, "`gravity` must be None in space"),
+    ],
+)
+def test_several_contacts_in_space_refuse_what_they_do_not_model(changes, message):
+    known = {"whisker": jw.Whisker(), "surface": jw.Sphere(1.0, (0.0, 5.0, 0.0)), "contacts": 2}
+    assert jw.Scene(**known).contacts == 2
+    assert "up to 2 contacts" in str(jw.Scene(**known))
+    with pytest.raises(ValueError, match=message):
+        jw.Scene(**(known | changes))
 
 
 def test_a_graph_that_is_not_strictly_convex_above_the_bases_is_rejected_before_compiling():

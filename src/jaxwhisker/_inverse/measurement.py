@@ -135,6 +135,9 @@ class MeasurementModel:
         checks.instance("build", scene, SpaceScene, "a SpaceScene", verb="return")
         if scene.friction is not None:
             checks.fail("build", "a function that returns a scene without friction", "one with friction")
+        if scene.contacts > 1:
+            allowed = "a function that returns a scene with one contact of each whisker"
+            checks.fail("build", allowed, f"one with contacts={scene.contacts}")
         return jax.tree.map(checks.as_float, scene)
 
     def _measured(self, parameters: Any, control: Scalar, contact: ContactUnknowns) -> Measurement:

@@ -202,8 +202,9 @@ def _mechanics_of(made: Any, contacts: int | None, *, before: bool) -> type[Inve
     if contacts is not None:
         checks.count("contacts", contacts)
     if getattr(made, "in_space", False):
-        if contacts is not None and contacts > 1:
-            checks.fail("contacts", "1 in space", f"{contacts}")
+        each = getattr(made, "contacts", 1) if contacts is None else contacts
+        if each > 1:
+            checks.fail("contacts", "1 in space", f"{each}")
         from jaxwhisker._inverse.space import InverseSpace
 
         return InverseSpace

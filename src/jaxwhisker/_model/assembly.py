@@ -13,6 +13,8 @@ from jaxwhisker._model.motion import Mount, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
 
+MOST_CONTACTS = 8  # of a whisker
+
 
 class AbstractScene(eqx.Module):
     """Whiskers on a support that a drive moves past an object, in the plane or in space."""
@@ -20,6 +22,7 @@ class AbstractScene(eqx.Module):
     whisker: eqx.AbstractVar[Whisker | tuple[Whisker, ...]]
     in_space = False
     gravity = None  # of scenes that have none
+    contacts = 1  # of a whisker, at most; scenes may have room for more
 
     # Type checkers would take variables for fields before the object.
     @property

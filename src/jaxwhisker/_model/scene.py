@@ -28,6 +28,7 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text, name_of
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.assembly import (
+    MOST_CONTACTS,
     AbstractScene,
     check_whiskers,
     each_whisker,
@@ -44,7 +45,6 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 
 DETECTABLE = ("second_contact", "crossing")
-MOST_CONTACTS = 8
 
 
 def _as_names(value: Any) -> Any:
@@ -70,8 +70,6 @@ class _OfObject(type(eqx.Module)):
                 checks.fail("detect", "None in space", repr(detect))
             if (gravity := kwargs.pop("gravity", None)) is not None:
                 checks.fail("gravity", "None in space", repr(gravity))
-            if (contacts := kwargs.pop("contacts", 1)) != 1:
-                checks.fail("contacts", "1 in space", repr(contacts))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
 

@@ -17,7 +17,15 @@ from jaxtyping import Array, Bool
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._model.assembly import AbstractScene, check_whiskers, in_row, motion_text, support_text, whisker_text
+from jaxwhisker._model.assembly import (
+    MOST_CONTACTS,
+    AbstractScene,
+    check_whiskers,
+    in_row,
+    motion_text,
+    support_text,
+    whisker_text,
+)
 from jaxwhisker._model.drives import SpaceMotion
 from jaxwhisker._model.motion import AbstractMotion, Translation
 from jaxwhisker._model.support import Support
@@ -40,6 +48,10 @@ class SpaceScene(AbstractScene):
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
+        contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
+            objects at once, and one object in several places; contact fields of results then have a last axis of
+            contacts, from the tip to the base. Scans then take several times as long. Not available with friction and
+            `ClosedForm()`.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support
@@ -56,6 +68,7 @@ class SpaceScene(AbstractScene):
     rod: AbstractRod = Shooting()
     motion: SpaceMotion | AbstractMotion = Translation()
     friction: Scalar | None = None
+    contacts: int = eqx.field(static=True, default=1)
     in_space = True
 
     def __post_init__(self):
@@ -74,10 +87,22 @@ class SpaceScene(AbstractScene):
         if self.friction is not None:
             checks.number("friction", self.friction, non_negative=True)
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
-        if isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
+        checks.count("contacts", self.contacts)
+        if self.contacts > 1:
+            self._check_several()
+        elif isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
             checks.fail(
                 "rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()"
             )
+
+    def _check_several(self):
+        """Check that all parts of a scene with several contacts of one whisker are modelled."""
+        if self.contacts > MOST_CONTACTS:
+            checks.fail("contacts", f"at most {MOST_CONTACTS}", repr(self.contacts))
+        if self.friction is not None:
+            checks.fail("friction", "None for several contacts in space", as_text(self.friction))
+        if not isinstance(self.rod, Shooting):
+            checks.fail("rod", "Shooting() for several contacts", str(self.rod))
 
     @property
     def objects(self) -> tuple[AbstractSurface, ...]:
@@ -86,9 +111,9 @@ class SpaceScene(AbstractScene):
 
     @property
     def rolls(self) -> bool:
-        """Whether whiskers are curved or twisted, or their bases may turn: torsion then plays a part."""
+        """Whether rods have a roll: whiskers are curved or twisted, their bases may turn, or have several contacts."""
         curved = any(w.needs_space or w.intrinsic_curvature is not None for w in self.whiskers)
-        return curved or any(axis.startswith("phi") for axis in self.support.axes)
+        return curved or self.contacts > 1 or any(axis.startswith("phi") for axis in self.support.axes)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domains that the constructors check."""
@@ -101,6 +126,7 @@ class SpaceScene(AbstractScene):
         rods = "" if self.rod == Shooting() else f", {self.rod}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
-        return f"{support_text(self.support)}, {self.surface}{whisker}{friction}{rods}{motion}"
+        contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
+        return f"{support_text(self.support)}, {self.surface}{whisker}{friction}{rods}{motion}{contacts}"
 
     __repr__ = __str__

@@ -83,9 +83,11 @@ def example_of(scene: AbstractScene) -> AbstractResult:
 
 
 def _example_in_space(scene: Any, zero: Float[Array, "steps whiskers"]) -> AbstractResult:
-    fields: dict[str, Any] = dict.fromkeys(SpaceState.__dataclass_fields__, zero) | {"phase": zero.astype(int)}
+    of_contacts = jnp.zeros((*zero.shape, scene.contacts)) if scene.contacts > 1 else zero
+    fields: dict[str, Any] = {n: of_contacts if is_of_contacts(n) else zero for n in SpaceState.__dataclass_fields__}
+    fields["phase"] = of_contacts.astype(int)
     fields |= dict.fromkeys(FRICTION_IN_SPACE) if scene.friction is None else {"slip": zero.astype(int)}
-    fields |= dict.fromkeys(OBJECTS, None if len(scene.objects) == 1 else zero.astype(int))
+    fields |= dict.fromkeys(OBJECTS, None if len(scene.objects) == 1 else of_contacts.astype(int))
     fields["base_rotation"] = jnp.zeros((*zero.shape, 3, 3))
     displacement = jnp.zeros((*zero.shape, 6)) if scene.support.springs else None
     return result_of(scene, SpaceState(**fields), displacement, jnp.zeros(EXAMPLE_STEPS))

@@ -12,7 +12,7 @@ import numpy as np
 from jaxwhisker._base.checks import is_traced
 from jaxwhisker._base.types import NamedInt
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._model.scene import AbstractScene, Scene
+from jaxwhisker._model.scene import AbstractScene
 from jaxwhisker._model.scene import units as natural_units
 from jaxwhisker._path.path import EventKind, Status
 from jaxwhisker._scan.quantities import (
@@ -148,7 +148,7 @@ def layout_of(scene: AbstractScene) -> SceneLayout:
         natural = natural_units(scene)
         sizes = {"force": float(natural.force), "length": float(natural.length)}
     own = str(scene), scene.support.whiskers, springs
-    contacts = scene.contacts if isinstance(scene, Scene) else 1
+    contacts = scene.contacts
     return SceneLayout(*own, *control, absent, dimensionless, sizes, scene.in_space, contacts)
 
 

@@ -85,7 +85,17 @@ STATE = {
     "contact_object": Quantity("number of the object, 0 without contact", "", "number", _STEP, dtype="int8"),
 }
 # Fields of a state that belong to contacts. If a whisker may have several, they have a further axis, from the tip on.
-OF_CONTACTS = ("contact_force", "contact_slope", "contact_arc", "contact_x", "contact_y", "phase", *FRICTION, *OBJECTS)
+OF_CONTACTS = (
+    "contact_force",
+    "contact_slope",
+    "contact_arc",
+    "contact_x",
+    "contact_y",
+    "contact_z",
+    "phase",
+    *FRICTION,
+    *OBJECTS,
+)
 CONTACT = "contact"  # this axis
 QUANTITIES = (
     {"control": Quantity("drive position", "u", CONTROL, ("control",))}

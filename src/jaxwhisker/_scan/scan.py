@@ -102,20 +102,24 @@ def scan_across(scene: AbstractScene, steps: int) -> Any:
 
 def mechanics_of(scene: AbstractScene) -> type[Mechanics]:
     """The mechanics of a scene."""
-    return mechanics_in(space=scene.in_space, contacts=scene.contacts if isinstance(scene, Scene) else 1)
+    return mechanics_in(space=scene.in_space, contacts=scene.contacts)
 
 
 def mechanics_in(*, space: bool, contacts: int) -> type[Mechanics]:
-    """The mechanics of the plane, of several contacts there, or of space; the last two are only loaded if needed."""
+    """The mechanics of the plane or of space, with one contact or several; all but the first are loaded if needed."""
+    if space and contacts > 1:
+        from jaxwhisker._scan.space_chain import SeveralContactsInSpace
+
+        return SeveralContactsInSpace
+    if space:
+        from jaxwhisker._scan.space import Space
+
+        return Space
     if contacts > 1:
         from jaxwhisker._scan.chain import SeveralContacts
 
         return SeveralContacts
-    if not space:
-        return InThePlane
-    from jaxwhisker._scan.space import Space
-
-    return Space
+    return InThePlane
 
 
 def _scan(scene: AbstractScene, control: Control | None, steps: int | None = None) -> Any:

@@ -101,8 +101,9 @@ def shapes_of(scene: Any, state: Any, control: Any, *, points: int) -> Any:
     """
     whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, None if scene.in_space else holds(scene)))
     state, control = state_of(state), None if by is None else checks.as_float(control)
-    if checks.is_traced((state, control, whiskers, by)):
-        return _shapes_of(state, whiskers, by, control, points=points)
+    past = jax.tree.map(checks.as_float, scene.surface) if scene.in_space and has_several(state) else None
+    if checks.is_traced((state, control, whiskers, by, past)):
+        return _shapes_of(state, whiskers, by, control, past, points=points)
     one = np.ndim(state.fx) == 1
     rows = jax.tree.map(lambda leaf: np.asarray(leaf)[None] if one else np.asarray(leaf), (state, control))
     steps = rows[0].phase.shape[0]
@@ -111,7 +112,7 @@ def shapes_of(scene: Any, state: Any, control: Any, *, points: int) -> Any:
         return jax.device_put(np.pad(leaf, [(0, -steps % PADDING), *[(0, 0)] * (leaf.ndim - 1)]))
 
     rows, control = jax.tree.map(padded, rows)
-    lines = _shapes_of(rows, whiskers, by, control, points=points)
+    lines = _shapes_of(rows, whiskers, by, control, past, points=points)
     return jax.tree.map(lambda line: jax.device_put(np.asarray(line)[0 if one else slice(steps)]), lines)
 
 
@@ -121,11 +122,15 @@ def _shapes_of(
     whiskers: tuple[Whisker, ...],
     by: Holds | None,
     control: Float[Array, "*steps"] | None,
+    past: Any,
     *,
     points: int,
 ) -> Shapes | SpaceShapes:
+    """Centre lines; in space with several contacts, `past` is the surface that has them."""
     in_space = isinstance(state, SpaceState)
-    if in_space:
+    if past is not None:
+        from jaxwhisker._space_chain.shape import line_past_contacts
+    elif in_space:
         from jaxwhisker._space.shape import centre_line
 
     def lines(state: Any, control: Scalar | None) -> list[tuple[Array, ...]]:
@@ -135,7 +140,10 @@ def _shapes_of(
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             at = jax.tree.map(lambda field, k=k: field[k], state)
-            found.append(centre_line(whisker, points, at) if in_space else _line(whisker, points, at, own))
+            if past is not None:
+                found.append(line_past_contacts(whisker, past, points, at))
+            else:
+                found.append(centre_line(whisker, points, at) if in_space else _line(whisker, points, at, own))
         return found
 
     for _ in range(state.base_x.ndim - 1):

@@ -48,7 +48,9 @@ class State(eqx.Module):
 class SpaceState(eqx.Module):
     """Whiskers in equilibrium in space, in the scene's frame and units; in a result with a leading axis of steps.
 
-    The reactions and all contact fields of a free whisker are zero.
+    If whiskers may have several contacts (see `SpaceScene`), the contact fields and `phase` have a last axis of
+    contacts, in order from the tip to the base; places that are not used are free, and follow. The reactions and all
+    contact fields of a free whisker are zero.
     """
 
     fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along +x

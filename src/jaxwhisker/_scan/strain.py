@@ -23,7 +23,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Along
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
-from jaxwhisker._scan.contacts import has_several, of_whisker, past_contacts, with_axis_of_contacts
+from jaxwhisker._scan.contacts import check_one_contact, has_several, of_whisker, past_contacts, with_axis_of_contacts
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, hanging, held, holds, moment_at
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
@@ -61,6 +61,8 @@ def bending(result: Any, at: Any) -> Bending:
     """
     checks.instance("result", result, AbstractResult, "the Result of a scan")
     check_not_batched(result, "the result of a single scan")
+    if result.scene.in_space:
+        check_one_contact("result", result.scene)
     checks.vector("at", at)
     scene: Any = result.scene
     if not checks.is_traced((at, scene.whiskers)):

@@ -63,6 +63,7 @@ class SpaceProblem(eqx.Module):
     ends: tuple[Float[Array, ""], Float[Array, ""]] | None
     valid: Bool[Array, ""]
     unit: Units
+    contacts: int = eqx.field(static=True)  # the largest number of contacts of a whisker
 
     def numbers(self) -> "SpaceProblem":
         """The numbers that equilibria depend on, and None for everything else."""
@@ -76,7 +77,7 @@ class SpaceProblem(eqx.Module):
 
     @property
     def rolls(self) -> bool:
-        """Whether whiskers are curved or twisted, or their bases turn: their roll is an unknown."""
+        """Whether the roll of whiskers is an unknown: see `SpaceScene`."""
         one = self.section[0] if isinstance(self.section, tuple) else self.section
         return isinstance(one, SpaceSection)
 
@@ -170,4 +171,5 @@ def problem_in_space(scene: SpaceScene) -> SpaceProblem:
         ends=None if ends is None else tuple(jnp.asarray(end, dtype=float) / unit.control for end in ends),
         valid=valid,
         unit=unit,
+        contacts=scene.contacts,
     )

@@ -23,6 +23,7 @@ from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
+from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker._scan.shapes import PADDING, SpaceShapes, shapes_of
@@ -121,6 +122,7 @@ def draw_array(array: WhiskerArray, surface: AbstractSurface | None, units: str,
 
 def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, view: Any, ax: Axes | None) -> Axes:
     """Draw steps of a scan in space, and the way of its contacts; see `states.shapes`."""
+    check_one_contact("result", result.scene)
     view = check_view(view, ax)
     way = contacts_of(result, float(system.natural.length))
     return _draw(drawings(result, np.asarray(steps)), system, picture(view, ax), way)
@@ -128,6 +130,7 @@ def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, v
 
 def drawings(result: SpaceResult, steps: np.ndarray, points: int = LINE_POINTS) -> SpaceDrawing:
     """Geometry of steps of a scan; its largest contact force has the longest arrow."""
+    check_one_contact("result", result.scene)
     states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(result))
     control = np.asarray(result.control)[steps]
     lines = shapes_of(result.scene, states, control, points=points)

@@ -1,0 +1,1 @@
+"""Whiskers in space with several contacts each."""

@@ -1,0 +1,59 @@
+"""Gaps between shafts in space and objects."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxwhisker as jw
+from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._model.surfaces import as_one_surface
+from jaxwhisker._space.contact import AHEAD, POINT, SLACK
+from jaxwhisker._space_chain.gaps import gaps_of
+from jaxwhisker._space_chain.shaft import WholeShaftInSpace
+
+POINTS = 13
+EXACT = 1e-12
+
+
+def straight(starts: bool = False) -> WholeShaftInSpace:
+    """A straight shaft along y, from (0, 1, 0) to the origin."""
+    beyond = jnp.linspace(0.0, 1.0, POINTS)[None]
+    position = jnp.stack([0 * beyond, 1 - beyond, 0 * beyond], axis=-1)
+    up, x = (jnp.broadcast_to(jnp.asarray(axis), position.shape) for axis in ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]))
+    return WholeShaftInSpace(beyond, position, up, 0 * up, x, jnp.asarray([starts]), jnp.asarray([False]))
+
+
+@jax.jit
+def gaps(surface, shaft):
+    # Beyond a contact at the tip, a shaft has a further segment without length.
+    both = jax.tree.map(
+        lambda leaf: jnp.concatenate([jnp.broadcast_to(leaf[:, :1], leaf.shape), leaf]),
+        shaft._replace(starts=shaft.beyond, ends=shaft.beyond),
+    )
+    return gaps_of(surface, both._replace(starts=jnp.append(False, shaft.starts), ends=jnp.append(False, shaft.ends)))
+
+
+def test_the_nearest_points_of_a_straight_shaft():
+    objects = as_one_surface((jw.Sphere(0.2, (0.3, 0.4321, 0.4)), jw.Sphere(0.1, (0.0, 1.2, 0.05))))
+    found = gaps(objects.in_unit(1.0), straight())
+    on_shaft, behind_tip, past_tip, at_tip = found.candidates.distance
+    # The distance of a quadric is one to first order: exact where it vanishes.
+    np.testing.assert_allclose(on_shaft, (0.5**2 - 0.2**2) / (2 * 0.5), atol=EXACT)
+    contact = found.candidates.contact[0]
+    np.testing.assert_allclose(contact[SLACK], 1 - 0.4321, atol=EXACT)
+    np.testing.assert_allclose(contact[AHEAD], [0.0, 1.0, 0.0], atol=EXACT)
+    np.testing.assert_allclose(contact[POINT][1], 0.4321, atol=EXACT)
+    assert np.isinf(behind_tip) and np.isinf(past_tip)
+    # The sphere above the tip.
+    away = np.hypot(0.2, 0.05)
+    np.testing.assert_allclose(at_tip, (away**2 - 0.1**2) / (2 * away), atol=EXACT)
+    assert found.candidates.phase.tolist() == [Phase.tangential, Phase.tip, Phase.tangential, Phase.tip]
+    assert found.base > 0
+
+
+def test_a_contact_is_no_candidate():
+    touching = jw.Sphere(0.3, (0.3, 1.0, 0.0)).in_unit(1.0)
+    own = gaps(touching, straight(starts=True)).candidates.distance
+    other = gaps(touching, straight()).candidates.distance
+    assert np.isinf(own[0])
+    assert np.isinf(other[0]) or abs(float(other[0])) < EXACT
