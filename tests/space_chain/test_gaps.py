@@ -57,3 +57,9 @@ def test_a_contact_is_no_candidate():
     other = gaps(touching, straight()).candidates.distance
     assert np.isinf(own[0])
     assert np.isinf(other[0]) or abs(float(other[0])) < EXACT
+
+
+def test_a_tip_that_touches_is_no_candidate():
+    above = jw.Sphere(0.2, (0.0, 1.2, 0.0)).in_unit(1.0)
+    assert np.isinf(gaps(above, straight(starts=True)).candidates.distance[1])
+    np.testing.assert_allclose(gaps(above, straight()).candidates.distance[1], 0.0, atol=EXACT)
