@@ -87,8 +87,10 @@ SCENES = {
         jw.Paraboloid(0.2, 2.0, 0.5), motion=jw.RotaryDrive((0.1, 0.2, 1.0), (0.1, -0.5, 0.2), -1.0, 1.2)
     ),
     "capsule": spatial(jw.Capsule(0.1, start=(0.0, 0.9, 0.0), end=(0.1, 0.9, 3.0))),
-    "spherical harmonics": spatial(jw.SphericalHarmonics([0.5, 0.01, 0.0, 0.02], (0.0, 1.2, 0.1), error=1e-3)),
-    "rounded box": spatial(jw.RoundedBox((0.8, 0.5, 0.6), 0.05, centre=(0.0, 1.0, 0.1)).rotated((0.1, 0.0, 0.2))),
+    "spherical harmonics": spatial(jw.SphericalHarmonics([0.5, 0.01, 0.0, 0.02], (0.0, 1.2, 0.1), 1e-3, 2e-3)),
+    "rounded box": spatial(
+        jw.RoundedBox((0.8, 0.5, 0.6), 0.05, centre=(0.0, 1.0, 0.1)).rotated((0.1, 0.0, 0.2)), contacts=2
+    ),
     "plane": spatial(jw.Plane((-0.5, 0.0, 0.1), outward=(1.0, -1.0, 0.2))),
     "extruded": spatial(jw.Extruded(CIRCLE), motion=jw.WhiskDrive(0.1, 0.2, 0.3, 0.4, (0.1, 0.2, 0.3), -1.0, 1.2)),
     "revolved": spatial(

@@ -42,8 +42,8 @@ class Table(eqx.Module):
         1.0e-04
     """
 
-    s: Float[Array, " rows"] = eqx.field(converter=lambda values: _array("s", values))
-    values: Float[Array, " rows"] = eqx.field(converter=lambda values: _array("values", values))
+    s: Float[Array, " rows"] = eqx.field(converter=lambda values: as_vector("s", values))
+    values: Float[Array, " rows"] = eqx.field(converter=lambda values: as_vector("values", values))
 
     def __check_init__(self):
         if self.s.shape != self.values.shape or self.s.shape[0] < 2:
@@ -76,7 +76,7 @@ class Polynomial(eqx.Module):
         22.0
     """
 
-    coefficients: Float[Array, " degrees"] = eqx.field(converter=lambda values: _array("coefficients", values))
+    coefficients: Float[Array, " degrees"] = eqx.field(converter=lambda values: as_vector("coefficients", values))
     length: Scalar
 
     def __check_init__(self):
@@ -125,10 +125,10 @@ class ParabolicShape(eqx.Module):
 
 def as_breaks(value: Any) -> Breaks | None:
     """Breaks as one array; None without any."""
-    return None if value is None or (isinstance(value, tuple | list) and not value) else _array("breaks", value)
+    return None if value is None or (isinstance(value, tuple | list) and not value) else as_vector("breaks", value)
 
 
-def _array(name: str, value: Any) -> Any:
+def as_vector(name: str, value: Any) -> Any:
     """A vector of floats, which is a NumPy array unless it is traced."""
     if isinstance(value, tuple | list) and checks.is_traced(value):
         value = jnp.stack([jnp.asarray(part, dtype=float) for part in value])

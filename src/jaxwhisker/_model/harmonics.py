@@ -17,6 +17,7 @@ from scipy.linalg import lstsq
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.types import Scalar, Triple, Vector
+from jaxwhisker._model.along import as_vector
 from jaxwhisker._model.surface import AbstractDescribed, AbstractSurface, Point, as_point, triple_text
 
 SMOOTHING = 1e-10  # of squared second derivatives on the sphere: decides where there are no points, and nowhere else
@@ -49,13 +50,12 @@ class SphericalHarmonics(AbstractDescribed):
     Source: geodesy's full normalisation and recursions, Holmes and Featherstone (2002), Journal of Geodesy 76, 279.
     """
 
-    coefficients: Float[Array, " n"] = eqx.field(converter=lambda given: checks.as_array(given))
+    coefficients: Float[Array, " n"] = eqx.field(converter=lambda values: as_vector("coefficients", values))
     inside: Triple = eqx.field(converter=checks.as_tuple)
     error: Scalar | None = None
     largest_error: Scalar | None = None
 
     def __check_init__(self):
-        checks.vector("coefficients", self.coefficients)
         checks.triple("inside", self.inside)
         count = np.size(self.coefficients)
         if (self.degree + 1) ** 2 != count or self.degree > MOST_DEGREE:
