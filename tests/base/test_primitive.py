@@ -1,5 +1,7 @@
 """Programs below vmap and jvp: which lanes run together, axes of several vmaps, tangents that are zero."""
 
+# pyright: reportArgumentType=false
+
 import os
 
 import jax
@@ -7,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxwhisker._base.primitive import LANES, MOST_SINGLE, lanes_together, threads
-from jaxwhisker._base.program import Program
+from jaxwhisker._base.primitive import LANES, threads
+from jaxwhisker._base.program import MOST_ALONE, MOST_SINGLE, Program
 
 EXACT = 1e-14
 
 
 def test_large_batches_run_together_if_the_program_allows_it():
     both = [Program(jnp.sin, together=together) for together in (LANES, 0)]
-    counts = (0, 1, MOST_SINGLE, MOST_SINGLE + 1, 10 * LANES)
-    assert [lanes_together(both[0], count) for count in counts] == [0, 0, 0, LANES, LANES]
-    assert not any(lanes_together(both[1], count) for count in counts)
+    counts = (0, 1, MOST_SINGLE, MOST_SINGLE + 1, MOST_ALONE, MOST_ALONE + 1)
+    assert [both[0].lanes_together("shape", count) for count in counts] == [0, 0, 0, 0, 0, LANES]
+    assert not any(both[1].lanes_together("shape", count) for count in counts)
 
 
 def test_threads_are_the_processors_of_this_process(monkeypatch):
@@ -37,7 +39,8 @@ def product(a, b, c):
 
 
 @pytest.mark.parametrize("together", [0, LANES])
-def test_axes_of_several_vmaps_stay_in_their_order(together):
+def test_axes_of_several_vmaps_stay_in_their_order(together, monkeypatch):
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", LANES)
     run = Program(product, together=together)
     # Axes 3 (of a and b), 5 (of b and c), 2 and 4 (of a), from the outermost one inwards.
     over = jax.vmap(run, (0, None, None))
@@ -49,7 +52,8 @@ def test_axes_of_several_vmaps_stay_in_their_order(together):
     np.testing.assert_allclose(stack[..., 1], np.broadcast_to(B.T[:, :, None, None], value.shape), atol=EXACT)
 
 
-def test_the_last_block_of_a_batch_is_filled_with_its_last_lane():
+def test_the_last_block_of_a_batch_is_filled_with_its_last_lane(monkeypatch):
+    monkeypatch.setattr("jaxwhisker._base.program.MOST_ALONE", LANES)
     seen = []
 
     def noted(x):

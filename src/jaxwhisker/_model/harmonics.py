@@ -121,7 +121,7 @@ class SphericalHarmonics(AbstractDescribed):
 
     @classmethod
     def from_mesh(cls, vertices: Any, faces: Any, degree: int = 8) -> "SphericalHarmonics":
-        """The surface through a closed mesh of triangles, as other libraries read it from a file of CAD.
+        """The surface through a closed mesh of triangles, as other libraries read it from a CAD file.
 
         Vertices are points of the surface, and so are points on large faces. Edges are rounded.
 
