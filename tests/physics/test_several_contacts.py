@@ -14,6 +14,8 @@ SOLVED = 1e-7  # laws of scans: a hundred times their accuracy, and that of laws
 STRIDE = 3  # steps between two stored states that are checked
 FOLD = 1e-3  # stability at a fold, of rods with 160 nodes
 AT_ONCE = 1e-6  # distance of a snap from the event that causes it
+AT_END = 2e-5  # distance of the drive from the end of a scan
+NEAR, STRAIGHT = 1e-3, 1e-4  # lengths, in which a pressure is measured, and from where the object is straight
 SCENES = 3  # of each kind
 # After a jump, this curved whisker would rest along a side: its contact splits in two, which is not modelled.
 ALONG_A_SIDE = "polygon, curved, FBFB", 0
@@ -167,3 +169,20 @@ def test_random_scenes_obey_all_laws(kind):
         assert len(result.events) > 2
         for law, control, _, value in checked(one, result):
             assert value < SOLVED, (k, law, control)
+
+
+def test_a_cone_ends_as_not_convex_where_it_would_lie_on_the_object():
+    # Its only contact, without any moment, comes to where the object becomes concave.
+    one = drawn("wave, cone, FB", np.random.default_rng((10, 7, 5)))
+    end = -0.766977
+    result = jw.scan(one.scene, np.append(one.control[one.control > end + AT_END], [end + AT_END, end - AT_END]))
+    assert np.all(result.status[:-1] == jw.Status.ok) and result.status[-1] == jw.Status.not_convex
+    ((contact,),) = (held.contacts for held in laws.state_of(result, -2))
+    rod, object_ = one.plain.rods[0], one.plain.objects[0]
+    way = np.linspace(-NEAR, NEAR, 3)  # along the whisker
+    x = contact.x + way * np.cos(contact.slope)
+    curvature = object_(x, object_.g(x)).curvature
+    assert abs(curvature[1]) < STRAIGHT * (curvature[2] - curvature[0]) / (2 * NEAR)
+    moment = rod.stiffness(contact.arc + way) * curvature  # of a whisker that lies on the object
+    assert contact.force > 1.5 * (moment[2] - moment[0]) / (2 * NEAR)
+    assert -(moment[2] - 2 * moment[1] + moment[0]) / NEAR**2 > 1  # the pressure

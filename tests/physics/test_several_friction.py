@@ -155,6 +155,16 @@ def test_jumps_with_friction_end_where_all_laws_hold(kind, seed, most):
         assert value < SOLVED, (law, control)
 
 
+def test_a_corner_that_becomes_a_side_does_not_touch_it_before():
+    # The touch of the side is a double root there, and was found on the other side of the corner.
+    rng = np.random.default_rng((1, 9, 11))
+    one = drawn("two boxes, curved, clamped", rng, friction=(0.1, 0.5), turns=False)
+    result = jw.scan(one.scene, one.control)
+    assert all_ok(result), result
+    for law, control, _, value in checked(one, result):
+        assert value < SOLVED, (law, control)
+
+
 def test_the_force_along_a_straight_part_between_contacts_that_stick_is_not_determined():
     one = drawn("wave, straight, clamped", np.random.default_rng((2, 5, 1)), friction=COEFFICIENTS)
     result = jw.scan(one.scene, one.control)

@@ -29,7 +29,6 @@ from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Ignored, Margins, first_crossed
 
 MARGIN_NOISE = 1e-11
-COINCIDES = 1e-9  # of the parameter: where a touch and an edge are so close, the touch is none of its own
 TOUCHING = 2e-9  # depth of a shaft that counts as a touch: one that has just been released is at 0
 
 
@@ -96,8 +95,9 @@ def first_violated(
     z = z_before(problem, march, trial)
     there = margins_of(problem, march, z, trial.point.u, trial.stance, trial.stop)
     if ignored is not None and problem.profile.has_edges:
-        # A straight end that turns about a corner touches the next side where the corner becomes that side.
-        early = jnp.where(begins_at(march), COINCIDES, 0.0)
+        # A shaft that turns about a corner touches the next side where the corner becomes that side. This touch is none
+        # of its own. It is a double root, from which Newton's method ends as far away as its last step is long.
+        early = jnp.where(begins_at(march), problem.rod.newton_tolerance, 0.0)
         there = tuple(margin - early if kind in (LOW, HIGH) else margin for kind, margin in enumerate(there))
     crossed = first_crossed(here, there, MARGIN_NOISE, problem.rows, (TOUCH, AT_STOP), ignored)
     new = new_contact(problem, march, z, trial.candidates, jnp.minimum(crossed.entry, here[0].size - 1))
