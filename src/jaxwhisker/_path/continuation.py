@@ -175,6 +175,10 @@ class Continuation(abc.ABC, Generic[M, T]):
     def written(self, march: M, trial: T, node: Node, loss: Loss) -> tuple[Bool[Array, ""], Node]:
         """Whether the end of a good step is a node to be written, and this node."""
 
+    def last_node(self, march: M) -> tuple[Bool[Array, ""], Node] | None:
+        """Whether a march ends with a node that is not yet written, and the node; None if it never does."""
+        del march
+
     @abc.abstractmethod
     def onwards(self, march: M, moved: M, trial: T, factor: Scalar) -> M:
         """The state after an accepted step, with the length of the next one; `factor` is that by its error."""

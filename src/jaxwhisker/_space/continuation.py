@@ -269,9 +269,17 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         )
 
     def written(self, march: MarchInSpace, trial: TrialInSpace, node, loss: Loss):
-        plain = trial.stable & trial.stance.opens
+        # While all whiskers are free, nothing happens between events.
+        plain = trial.stable & trial.stance.opens & jnp.any(march.phase != Phase.free)
         forks = ~trial.stable & loss.located & branches(march, trial)
         return plain | forks, select(forks, self._bifurcation(march, trial), node)
+
+    def last_node(self, march: MarchInSpace):
+        # The base of a free whisker may arrive at a wall: the whisker is free up to there.
+        node = march.node(march.point, march.tangent, inner=march.pending.inner)
+        free = jnp.all(march.phase == Phase.free)
+        moved = (march.count > 0) & (march.travel > march.pending.travel)
+        return (march.status == Status.lost) & free & moved, node
 
     def _bifurcation(self, march: MarchInSpace, trial: TrialInSpace) -> Node:
         """The node where stability is lost, within a short step."""
