@@ -214,19 +214,16 @@ class ContinuationWithFriction(ContinuationInSpace):
         ], [(loss, sliding(self.problem, at_loss))]
 
     def state_after(self, march: MarchInSpace, trial: TrialInSpace):
-        state, grips = super().state_after(march, trial), march.target.whiskers & (march.target.number == GRIP)
-        mode = mode_after(march.state.mode, grips, self._turns(march, trial), self.touching(march))
-        return state._replace(mode=jnp.where(self._slip_back(march, trial), int(SlipMode.slips), mode))
-
-    def _turns(self, march: MarchInSpace, trial: TrialInSpace):
-        """Whether the drive turns at the event."""
+        target, state = march.target, super().state_after(march, trial)
         heading = jnp.sign(trial.stops[jnp.minimum(march.goal + 1, trial.last)] - trial.point.u)
-        return (march.target.number == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
+        turns = (target.number == AT_STOP) & (march.goal < trial.last) & (heading == -march.direction)
+        grips = target.whiskers & (target.number == GRIP)
+        return state._replace(mode=mode_after(march.state.mode, grips, turns, self.touching(march)))
 
-    def _slip_back(self, march: MarchInSpace, trial: TrialInSpace):
-        """Contacts whose traction turns round at the event."""
-        turn = self._turns(march, trial) | (march.target.whiskers & (march.target.number == GRIP))
-        return turn & self.slips_back & (march.state.mode == SlipMode.slips) & (trial.phase != Phase.free)
+    def _slipping_back(self, before, mode, traction):
+        """Modes and tractions after contacts that slipped and would now stick, if they slip back instead."""
+        back = self.slips_back & (mode - before == SlipMode.sticks - SlipMode.slips)
+        return jnp.where(back, before, mode), jnp.where(back[:, None], -traction, traction)
 
     def kinds(self, march: MarchInSpace, trial: TrialInSpace):
         sticks = jnp.any(march.target.whiskers & (march.state.mode == SlipMode.sticks))
@@ -235,10 +232,9 @@ class ContinuationWithFriction(ContinuationInSpace):
     def event_node(self, march: MarchInSpace, trial: TrialInSpace, found):
         _, node = super().event_node(march, trial, found)
         begun = first_traction(speeds(self.problem.surface, trial.point.z, trial.phase, trial.tangent.z))
-        slips_back = self._slip_back(march, trial)[:, None]
-        traction = jnp.where(slips_back, -trial.point.z[:, TRACTION], trial.point.z[:, TRACTION])
+        mode, traction = self._slipping_back(march.state.mode, node.state.mode, trial.point.z[:, TRACTION])
         traction = jnp.where(self.touching(march)[:, None], begun, traction)
-        node = node._replace(point=with_traction(node.point, traction))
+        node = node._replace(point=with_traction(node.point, traction), state=node.state._replace(mode=mode))
         # At a loss, the path goes on as it arrives until contacts slide.
         loss = march.target.number == LOSS
         plain = self._node(march, trial, self.direction(march, trial))
@@ -271,15 +267,13 @@ class ContinuationWithFriction(ContinuationInSpace):
     def ways_on(self, march: MarchInSpace, onwards: MarchInSpace, node, trial: TrialInSpace, falls):
         assert march.slip is not None
         smooth = super().ways_on(march, onwards, node, trial, falls)
-        slipped = march.state.mode == SlipMode.slips
         mode, _ = mode_at_corner(self.problem, march.state, march.slip.begins, trial.point, onwards.tangent)
         changed = jnp.any(mode != march.state.mode)
         changes = march.slip.changes + 1
         often = changes > 2 * march.phase.size
-        back = self.slips_back & slipped & (mode == SlipMode.sticks)
-        traction = jnp.where(back[:, None], -1, 1) * march.point.z[:, TRACTION]
+        mode, traction = self._slipping_back(march.state.mode, mode, march.point.z[:, TRACTION])
         again = march.replace(
-            state=march.state._replace(mode=jnp.where(back, int(SlipMode.slips), mode)),
+            state=march.state._replace(mode=mode),
             slip=march.slip._replace(changes=changes),
             point=with_traction(march.point, traction),
         )
