@@ -217,7 +217,6 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         return [*own, jnp.reshape(target.number == AT_STOP, 1)]
 
     def before_loss(self, march: MarchInSpace, trial: TrialInSpace, distance):
-        # The Illinois rule, again.
         size = jnp.where(jnp.isfinite(march.unstable_at), march.size / 2, march.size)
         closer = march.replace(unstable_at=distance, unstable_size=trial.stance.stiffness, size=size)
         return closer.replace(step=step_to_loss(closer))
@@ -275,8 +274,9 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     def last_node(self, march: MarchInSpace):
         # The base of a free whisker may arrive at a wall: the whisker is free up to there.
+        node = march.node(march.point, march.tangent, inner=march.pending.inner)
         ends = (march.status == Status.lost) & jnp.all(march.phase == Phase.free)
-        return ends & (march.travel > march.pending.travel), march.node(march.point, march.tangent, inner=march.pending.inner)
+        return ends & (march.travel > march.pending.travel), node
 
     def _bifurcation(self, march: MarchInSpace, trial: TrialInSpace) -> Node:
         """The node where stability is lost, within a short step."""
