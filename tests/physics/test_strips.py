@@ -24,7 +24,7 @@ NAMES = "force", "moment"
 
 
 def scanned(whisker, roll, surface=BESIDE, control=CONTROL):
-    return jw.scan(jw.Scene(whisker, surface, jw.Support(mount=jw.Mount(roll=roll)), motion=ALONG), control)
+    return jw.scan(jw.SpaceScene(whisker, surface, jw.Support(mount=jw.Mount(roll=roll)), motion=ALONG), control)
 
 
 @pytest.mark.parametrize(("ratio", "roll", "stiffness"), [(25.0, 0.0, 1.0), (0.04, np.pi / 2, 0.04)])

@@ -102,11 +102,12 @@ class SphericalHarmonics(AbstractDescribed):
         away = points - centre
         size = np.linalg.norm(away, axis=1)
         if np.min(size) == 0:
-            checks.fail("inside", "none of the points", triple_text(tuple(map(float, centre))))
+            checks.fail("inside", "none of the points", triple_text(checks.as_tuple(centre)))
         rows = _harmonics(degree, away / size[:, None])
         bend = np.repeat(np.arange(degree + 1) * np.arange(1, degree + 2), 2 * np.arange(degree + 1) + 1)
         smooth = np.sqrt(SMOOTHING * len(points)) * np.diag(bend)
-        coefficients = lstsq(np.vstack([rows, smooth]), np.append(size, np.zeros(bend.size)))[0]
+        coefficients: Any = lstsq(np.vstack([rows, smooth]), np.append(size, np.zeros(bend.size)))
+        coefficients = coefficients[0]
         found = cls(coefficients, tuple(map(float, centre)))
         form = found.form()
         off = np.asarray(_off(form, jnp.asarray(points)))
@@ -155,7 +156,7 @@ class SphericalHarmonics(AbstractDescribed):
             shares = np.stack([i, j, parts - i - j], axis=-1).reshape(-1, 3)
             inner = np.all(shares >= 0, axis=1) & np.all(shares < parts, axis=1)
             points.append(shares[inner] / parts @ corner)
-        return cls.from_points(np.concatenate(points), degree, tuple(map(float, inside)))
+        return cls.from_points(np.concatenate(points), degree, inside)
 
     def form(self):
         to_weights = jnp.asarray(_to_weights(self.degree))

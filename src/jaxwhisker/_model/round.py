@@ -146,6 +146,7 @@ class Round(Measured):
 
         Source: Timoshenko and Goodier (1970), Theory of Elasticity, section 109, for the torsion of rectangular bars.
         """
+        _torsion_ratio(poisson_ratio)  # checks it
         given = {"youngs_modulus": youngs_modulus, "width": width, "thickness": thickness}
         for name, value in (given if density is None else given | {"density": density}).items():
             checks.number(name, value, positive=True)
@@ -156,7 +157,7 @@ class Round(Measured):
             youngs_modulus * width * thickness**3 / 12,
             intrinsic_curvature,
             mass_per_length=None if density is None else density * width * thickness,
-            torsion_ratio=2 * _torsion_ratio(poisson_ratio) * _torsion_of_rectangle(width / thickness),
+            torsion_ratio=2 / (1 + poisson_ratio) * _torsion_of_rectangle(width / thickness),
             lateral_ratio=(width / thickness) ** 2,
         )
 

@@ -131,9 +131,9 @@ def march(
         return select(ends, now.stopped(Status.too_long), now), table, used + 1
 
     now, table, _ = jax.lax.while_loop(running, chunk, start)
-    last = mechanics.last_node(now)
-    if last is not None:
-        write, node = last
+    end = mechanics.last_node(now)
+    if end is not None:
+        write, node = end
         table = table.at[jnp.where(write, now.count, capacity)].set(ravel_pytree(node)[0], mode="drop")
         now = now.replace(count=now.count + write)
     return Path(jax.vmap(unpacked)(table), jnp.minimum(now.count, capacity).astype(int), now.status.astype(int))
