@@ -120,6 +120,7 @@ BALL = points_on((0.5,) * 3, 300)
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: jw.SphericalHarmonics([-0.5], CENTRE), r"`coefficients` must be positive at first"),
         (lambda: jw.SphericalHarmonics([0.5, 0.1], CENTRE), r"`coefficients` must be \(degree \+ 1\)\^2 numbers"),
         (lambda: jw.SphericalHarmonics([0.5, np.nan, 0.0, 0.0], CENTRE), r"`coefficients`"),
         (lambda: jw.SphericalHarmonics.from_points(BALL, 20), r"`degree` must be an int from 2 to 16, got 20"),

@@ -60,6 +60,8 @@ class SphericalHarmonics(AbstractDescribed):
         count = np.size(self.coefficients)
         if (self.degree + 1) ** 2 != count or self.degree > MOST_DEGREE:
             checks.fail("coefficients", f"(degree + 1)^2 numbers, of a degree up to {MOST_DEGREE}", f"{count} of them")
+        if not checks.is_traced(self.coefficients) and not self.coefficients[0] > 0:
+            checks.fail("coefficients", "positive at first, which is the mean distance", f"{self.coefficients[0]:g}")
 
     @property
     def degree(self) -> int:
