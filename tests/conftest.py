@@ -150,7 +150,7 @@ def pytest_collection_finish() -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     if records := config.getoption("unchanged"):
-        typed, worker = config.getoption("check_types"), hasattr(config, "workerinput")
+        typed, worker = bool(config.getoption("check_types")), hasattr(config, "workerinput")
         config.pluginmanager.register(unchanged.Unchanged(Path(records), typed, worker))
     if config.getoption("check_types"):
         jaxtyping.install_import_hook("jaxwhisker", BEARTYPE)

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from jaxwhisker._base.primitive import LANES, threads
-from jaxwhisker._base.program import MOST_ALONE, MOST_SINGLE, Program
+from jaxwhisker._base.program import MOST_ALONE, MOST_SINGLE, Program, Shape
 
 EXACT = 1e-14
 
 
 def test_large_batches_run_together_if_the_program_allows_it():
     both = [Program(jnp.sin, together=together) for together in (LANES, 0)]
+    shape = Shape(None, (), (), ())
     counts = (0, 1, MOST_SINGLE, MOST_SINGLE + 1, MOST_ALONE, MOST_ALONE + 1)
-    assert [both[0].lanes_together("shape", count) for count in counts] == [0, 0, 0, 0, 0, LANES]
-    assert not any(both[1].lanes_together("shape", count) for count in counts)
+    assert [both[0].lanes_together(shape, count) for count in counts] == [0, 0, 0, 0, 0, LANES]
+    assert not any(both[1].lanes_together(shape, count) for count in counts)
 
 
 def test_threads_are_the_processors_of_this_process(monkeypatch):
