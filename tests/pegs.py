@@ -1,4 +1,4 @@
-"""Whiskers that touch several pegs in space, and laws of their states, checked by numpy and scipy only.
+"""Whiskers that touch several pegs or rings in space, and laws of their states, checked by numpy and scipy only.
 
 The rod is integrated from the base, with the reaction of the support. At each contact, the contact force is taken off.
 """
@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 import jaxwhisker as jw
 
 TOLERANCE = 1e-12  # of the integration
+PLACES = 60  # of each segment, which must not be inside an object
 TILTED = ((0.2, 0.1, 1.0), (-0.3, 0.0, 1.0))
 ALONG_Z = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
 # Two pegs along z: an independent chain of elastica segments in the plane, each event solved to 1e-12.
@@ -40,6 +41,18 @@ def scan(axes: Any = ALONG_Z) -> Any:
     return jw.scan(scene(axes), np.sort(np.append(np.linspace(0.3, -1.0, 27), CONTROL))[::-1])
 
 
+def seen_from(body: Any, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of points from a cylinder or a torus, and the directions away from it."""
+    axis = np.array(body.axis) / np.linalg.norm(body.axis)
+    off = points - np.array(body.centre if isinstance(body, jw.Torus) else body.point)
+    away = off - (off @ axis)[..., None] * axis
+    if isinstance(body, jw.Torus):
+        away = off - float(body.radius) * away / np.linalg.norm(away, axis=-1, keepdims=True)
+    distance = np.linalg.norm(away, axis=-1)
+    radius = float(body.tube_radius if isinstance(body, jw.Torus) else body.radius)
+    return distance - radius, away / distance[..., None]
+
+
 def violations(result: Any, step: int) -> dict[str, float]:
     """By how much the state of a uniform whisker of length 1 misses each law."""
     at = {name: np.asarray(getattr(result, name))[step, 0] for name in ("contact_force", "contact_arc", "phase")}
@@ -48,7 +61,7 @@ def violations(result: Any, step: int) -> dict[str, float]:
         for names in (("fx", "fy", "fz"), ("mx", "my", "mz"), ("base_x", "base_y", "base_z"))
     )
     points = np.stack([np.asarray(getattr(result, f"contact_{axis}"))[step, 0] for axis in "xyz"], axis=-1)
-    whisker, missed = result.scene.whiskers[0], {"place": 0.0, "surface": 0.0, "tangent": 0.0, "pull": 0.0}
+    whisker, missed = result.scene.whiskers[0], dict.fromkeys(("place", "surface", "tangent", "pull", "depth"), 0.0)
     torsion = 1.0 / whisker.torsion_ratio if whisker.torsion_ratio is not None else 1.0
     kappa = np.array([0.0, -(whisker.intrinsic_curvature or 0.0), 0.0])
     here, at_rest = np.concatenate([base, np.asarray(result.base_rotation)[step, 0].T.ravel()]), 0.0
@@ -65,18 +78,18 @@ def violations(result: Any, step: int) -> dict[str, float]:
             return np.concatenate([d3, *(np.cross(omega, d) for d in (d1, d2, d3))])
 
         if end > at_rest:
-            here = solve_ivp(rate, (at_rest, end), here, method="DOP853", rtol=TOLERANCE, atol=TOLERANCE).y[:, -1]
+            places = np.linspace(at_rest, end, PLACES)
+            way = solve_ivp(rate, (at_rest, end), here, "DOP853", places, rtol=TOLERANCE, atol=TOLERANCE).y
+            depth = max(float(-seen_from(one, way[:3].T)[0].min()) for one in result.scene.objects)
+            here, missed["depth"] = way[:, -1], max(missed["depth"], depth)
         if k is None:
             break
         at_rest, tangent = end, here[9:12]
-        peg = result.scene.objects[int(np.asarray(result.contact_object)[step, 0, k]) - 1]
-        axis = np.array(peg.axis) / np.linalg.norm(peg.axis)
-        off = points[k] - np.array(peg.point)
-        normal = off - (off @ axis) * axis
-        distance = np.linalg.norm(normal)
-        normal /= distance
+        several = len(result.scene.objects) > 1
+        own = int(np.asarray(result.contact_object)[step, 0, k]) - 1 if several else 0
+        distance, normal = seen_from(result.scene.objects[own], points[k])
         missed["place"] = max(missed["place"], float(np.abs(here[:3] - points[k]).max()))
-        missed["surface"] = max(missed["surface"], float(abs(distance - float(peg.radius))))
+        missed["surface"] = max(missed["surface"], float(abs(distance)))
         leans = tangent @ normal
         tip = at["phase"][k] == jw.Phase.tip
         missed["tangent"] = max(missed["tangent"], float(leans if tip else abs(leans)))

@@ -91,6 +91,7 @@ SCENES = {
     "rounded box": spatial(
         jw.RoundedBox((0.8, 0.5, 0.6), 0.05, centre=(0.0, 1.0, 0.1)).rotated((0.1, 0.0, 0.2)), contacts=2
     ),
+    "torus": spatial(jw.Torus(0.4, 0.1, centre=(0.0, 1.0, 0.1), axis=(0.0, 1.0, 0.2)), contacts=2),
     "plane": spatial(jw.Plane((-0.5, 0.0, 0.1), outward=(1.0, -1.0, 0.2))),
     "extruded": spatial(jw.Extruded(CIRCLE), motion=jw.WhiskDrive(0.1, 0.2, 0.3, 0.4, (0.1, 0.2, 0.3), -1.0, 1.2)),
     "revolved": spatial(

@@ -51,8 +51,10 @@ if TYPE_CHECKING:
     from jaxwhisker._model.loads import LineLoad, PointForce, PointMoment, SpaceForce, SpaceMoment
     from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
     from jaxwhisker._model.rounded import Capsule, RoundedBox
-    from jaxwhisker._model.solids import Extruded, Revolved, Surface
+    from jaxwhisker._model.solids import Extruded, Revolved
     from jaxwhisker._model.space_scene import SpaceScene
+    from jaxwhisker._model.torus import Torus
+    from jaxwhisker._model.user_surface import Surface
     from jaxwhisker._scan.array import Array
     from jaxwhisker._scan.balance import EnergyBalance, energy_balance
     from jaxwhisker._scan.deflect import Deflection, deflect
@@ -148,6 +150,7 @@ __all__ = [
     "Sweep",
     "Table",
     "Tilted",
+    "Torus",
     "Translation",
     "WhiskDrive",
     "Whisker",
@@ -211,8 +214,10 @@ _LATER = {
     "_model.quadrics": ("Cylinder", "Ellipsoid", "Paraboloid", "Plane", "Sphere"),
     "_model.harmonics": ("SphericalHarmonics",),
     "_model.rounded": ("Capsule", "RoundedBox"),
-    "_model.solids": ("Extruded", "Revolved", "Surface"),
+    "_model.solids": ("Extruded", "Revolved"),
     "_model.space_scene": ("SpaceScene",),
+    "_model.torus": ("Torus",),
+    "_model.user_surface": ("Surface",),
     "_scan.array": ("Array",),
     "_scan.balance": ("EnergyBalance", "energy_balance"),
     "_scan.deflect": ("Deflection", "deflect"),

@@ -11,8 +11,9 @@ from jax.test_util import check_grads
 import jaxwhisker as jw
 from jaxwhisker._model.objects import as_one
 from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Sphere
-from jaxwhisker._model.solids import CORE, Extruded, Revolved, Surface
+from jaxwhisker._model.solids import CORE, Extruded, Revolved
 from jaxwhisker._model.surface import Quadric
+from jaxwhisker._model.user_surface import Surface
 
 EXACT = 1e-12  # sums of a few numbers of size 1, after a search that ends at rounding
 TABLE = 1e-9  # contours are tables of polynomials, whose second derivatives are a little less exact
@@ -362,6 +363,8 @@ def test_traced_parameters_out_of_their_domain_are_invalid():
             "In space, use a RoundedBox, or a Capsule for a peg with an end.",
         ),
         (lambda: Extruded(jw.Cut(jw.Parabola(0.2), -0.3, 0.3)), "In space, use a RoundedBox"),
+        (lambda: Extruded(jw.Graph(lambda x: 0.3 + x**2 + 0.1 * jnp.cos(9 * x))), "`profile` must be convex"),
+        (lambda: Revolved(jw.Graph(lambda x: 0.3 + x**2 - 0.1 * jnp.cos(9 * x))), "`profile` must be convex"),
         (
             lambda: Revolved(jw.Tilted(jw.Parabola(0.2), 0.3)),
             "`profile` must be symmetric about the vertical axis through its lowest point, got parabola q = 0.2, "

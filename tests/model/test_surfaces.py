@@ -28,7 +28,7 @@ def known(points):
     def at(x):
         steps = surface.steps_to_joint(x, jnp.array([0.0, 0.1, 0.0]))
         local = surface.level(x), surface.gradient(x), surface.hessian(x), surface.off(x), steps
-        return local, surface.plane_before(x), surface.object_of(x), surface.of_each(lambda one: one.off(x))
+        return local, surface.ball_before(x), surface.object_of(x), surface.of_each(lambda one: one.off(x))
 
     return jax.vmap(at)(points)
 
@@ -43,7 +43,7 @@ def alone(points):
             one.off(x),
             one.steps_to_joint(x, jnp.array([0.0, 0.1, 0.0])),
         )
-        return local, one.plane_before(x)
+        return local, one.ball_before(x)
 
     return [[at(one.in_unit(jnp.asarray(1.0)), x) for x in points] for one in EACH]
 

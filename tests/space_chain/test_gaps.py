@@ -63,3 +63,22 @@ def test_a_tip_that_touches_is_no_candidate():
     above = jw.Sphere(0.2, (0.0, 1.2, 0.0)).in_unit(1.0)
     assert np.isinf(gaps(above, straight(starts=True)).candidates.distance[1])
     np.testing.assert_allclose(gaps(above, straight()).candidates.distance[1], 0.0, atol=EXACT)
+
+
+def test_a_thin_object_between_two_points_of_a_shaft_is_as_near_as_it_is():
+    thin = jw.Cylinder(0.002, (0.01, 6.5 / (POINTS - 1), 0.0)).in_unit(1.0)
+    # At the points, its distance is 0.04.
+    np.testing.assert_allclose(gaps(thin, straight()).distance, (0.01**2 - 0.002**2) / (2 * 0.01), atol=EXACT)
+
+
+def test_the_lowest_of_two_valleys_before_a_small_ring():
+    radius, tube, centre, axis = 0.02, 0.005, np.array([0.0106, 0.4443, 0.0034]), np.array([1.0, 0.118, 0.069])
+    found = gaps(jw.Torus(radius, tube, tuple(centre), tuple(axis)).in_unit(1.0), straight())
+    y = np.linspace(0.3, 0.5, 200001)
+    off = np.stack([0 * y, y, 0 * y], axis=1) - centre
+    rise = off @ axis / np.linalg.norm(axis)
+    gap = np.hypot(np.sqrt(np.sum(off**2, axis=1) - rise**2) - radius, rise) - tube
+    valleys = np.flatnonzero((gap[1:-1] < gap[:-2]) & (gap[1:-1] < gap[2:])) + 1
+    assert len(valleys) == 2 and abs(y[valleys[0]] - y[valleys[1]]) < 1 / (POINTS - 1)
+    np.testing.assert_allclose(found.candidates.distance[0], gap.min(), atol=1e-9)
+    np.testing.assert_allclose(1 - found.candidates.contact[0][SLACK], y[np.argmin(gap)], atol=2e-6)

@@ -121,6 +121,7 @@ CONSTRUCTORS = {
     "Cylinder": (lambda r, z: jw.Cylinder(r, (0.0, 0.9, 0.0), (z, 0.0, 1.0)), {"r": 0.5, "z": 0.1}),
     "Capsule": (lambda r, z: jw.Capsule(r, (0.0, 0.9, 0.0), (z, 0.9, 1.0)), {"r": 0.5, "z": 0.1}),
     "RoundedBox": (lambda r, x: jw.RoundedBox((x, 0.5, 0.4), r, (0.0, 0.9, 0.1)), {"r": 0.1, "x": 0.6}),
+    "Torus": (lambda r, y: jw.Torus(0.4, r, (0.0, y, 0.1), (0.0, 1.0, 0.2)), {"r": 0.1, "y": 0.9}),
     "Plane": (lambda x, y: jw.Plane((x, 0.0, 0.0), (1.0, y, 0.0)), {"x": -0.5, "y": -0.3}),
     "Paraboloid": (lambda a, b: jw.Paraboloid(0.3, a, b), {"a": 0.5, "b": 0.7}),
     "Extruded": (lambda q: jw.Extruded(jw.Parabola(q)), {"q": 0.3}),
@@ -132,8 +133,8 @@ CONSTRUCTORS = {
     "LinearDrive": (lambda x, z: jw.LinearDrive((x, 0.0, 0.1), (0.0, 0.0, z)), {"x": -1.0, "z": 0.1}),
 }
 IN_SPACE = (
-    *("Sphere", "Ellipsoid", "Cylinder", "Capsule", "RoundedBox", "Plane", "Paraboloid", "Extruded", "Revolved"),
-    *("rotated", "LinearDrive"),
+    *("Sphere", "Ellipsoid", "Cylinder", "Capsule", "RoundedBox", "Torus", "Plane", "Paraboloid", "Extruded"),
+    *("Revolved", "rotated", "LinearDrive"),
 )
 
 

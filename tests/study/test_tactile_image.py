@@ -130,6 +130,11 @@ def test_an_invalid_offset_has_no_height():
             {"offset": [0.1]},
             "`build` must .* whose motion is a Translation or a LinearDrive, got one whose motion is whisking",
         ),
+        (
+            lambda offset: jw.Scene(jw.Whisker(), jw.Torus(0.3, 0.1, (0.0, 0.9, offset))),
+            {"offset": [0.1]},
+            "`build` must be a function that returns scenes with convex objects, got one with a torus",
+        ),
     ],
 )
 def test_wrong_input_is_rejected(build, arguments, words):

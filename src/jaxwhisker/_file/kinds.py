@@ -38,11 +38,13 @@ from jaxwhisker._model.profiles import Graph, Tilted
 from jaxwhisker._model.quadrics import Cylinder, Ellipsoid, Paraboloid, Plane, Sphere
 from jaxwhisker._model.rounded import Capsule, RoundedBox
 from jaxwhisker._model.scene import Scene
-from jaxwhisker._model.solids import Extruded, Revolved, Surface
+from jaxwhisker._model.solids import Extruded, Revolved
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import Spring
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface, Placed
+from jaxwhisker._model.torus import Torus
+from jaxwhisker._model.user_surface import Surface
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod.elastica import AbstractRod, ClosedForm, Shooting
 from jaxwhisker._rod.rod import Splitting
@@ -58,6 +60,7 @@ FAMILIES: dict[Any, tuple[type, ...]] = {
         Cylinder,
         Capsule,
         RoundedBox,
+        Torus,
         SphericalHarmonics,
         Plane,
         Paraboloid,

@@ -1,37 +1,28 @@
-"""Surfaces made of plane profiles, extruded or revolved, and the surface of a user-defined function.
+"""Surfaces made of plane profiles, extruded or revolved.
 
 Those of conic sections are quadrics. The level of all others is the distance from the profile. It is found from the
 foot of the perpendicular: the parameter p at which x - x(p) is orthogonal to the tangent.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.implicit import solution_of
-from jaxwhisker._base.leaves import as_field, name_of
-from jaxwhisker._base.types import Scalar, Triple, Vector
 from jaxwhisker._model.conic import Conic
 from jaxwhisker._model.profile import AbstractProfile, ContactPoint
-from jaxwhisker._model.profiles import Tilted
-from jaxwhisker._model.surface import (
-    AbstractDescribed,
-    AbstractSurface,
-    Placed,
-    Point,
-    Quadric,
-    as_point,
-    outermost,
-    triple_text,
-)
+from jaxwhisker._model.profiles import Graph, Tilted
+from jaxwhisker._model.surface import AbstractDescribed, AbstractSurface, Placed, Point, Quadric
 
 STEPS = 100  # of a search for the foot of a perpendicular; Newton's method takes about 6
 CONVERGED = 1e-14  # step of the parameter, relative if large
+FAR_OUT = np.append(0.0, np.geomspace(1e-3, 1.0, 300))  # shares of the way to an end, at which a graph is checked
+BENT_BACK = 1e-6  # of its largest curvature: rounding errors
 SLOPES = (0.02, 0.1, 0.3, 0.6, 1.0, 1.3)  # rad, at which the two sides of a profile are compared
 SYMMETRIC = 1e-6  # relative difference of the sides
 # The distance from the axis is not smooth there, but sqrt(distance^2 + core^2) is. With a core of this size, over the
@@ -54,10 +45,11 @@ class Extruded(_AbstractSolid):
     Above its widest place, or where the profile ends, the object goes on straight up; ellipses and circles are closed.
 
     Args:
-        profile: the cross-section, any profile without edges.
+        profile: the cross-section, any convex profile without edges. For a concave graph, take a `Surface`.
 
     Raises:
-        ValueError: if `profile` is not a profile, has edges, or consists of several objects.
+        ValueError: if `profile` is not a profile, has edges, consists of several objects, or is a graph that is not
+            convex, unless it is traced or the surface is made below `jax.jit`.
 
     Examples:
         >>> print(jw.Extruded(jw.Parabola(0.2)))
@@ -71,6 +63,7 @@ class Extruded(_AbstractSolid):
 
     def __check_init__(self):
         _check_without_edges(self.profile)
+        _check_convex(self.profile)
 
     def form(self):
         if isinstance(self.profile, Tilted):
@@ -94,8 +87,8 @@ class Revolved(_AbstractSolid):
         profile: a profile without edges that is symmetric about its vertical axis.
 
     Raises:
-        ValueError: if `profile` is not a profile, has edges, consists of several objects, or is not symmetric. A tilted
-            profile is not; turn the surface instead (`rotated`).
+        ValueError: if `profile` is not a profile, has edges, consists of several objects, or is not symmetric or
+            convex. A tilted profile is not symmetric; turn the surface instead (`rotated`).
 
     Examples:
         >>> bowl = jw.Revolved(jw.Graph(lambda x: 0.2 + x**2 + x**4))
@@ -116,6 +109,7 @@ class Revolved(_AbstractSolid):
         symmetric = checks.is_traced(profile) or _is_symmetric(profile)
         if not (checks.is_traced(symmetric) or symmetric):  # below jit, all results are traced
             checks.fail("profile", needs, str(profile))
+        _check_convex(profile)
 
     def form(self):
         profile = self.profile.in_unit(1.0)
@@ -215,65 +209,6 @@ class Rotational(_AbstractSwept):
         return f"{self.profile}, revolved about its axis"
 
 
-class Surface(AbstractSurface):
-    """User-defined surface G(x) = 0 of a strictly convex object.
-
-    Args:
-        function: G of a point (x, y, z), an array of shape (3,), lengths. It must be negative inside and positive
-            outside, and smooth, with a gradient other than zero around the surface; its scale is arbitrary. JAX must be
-            able to trace it. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
-        inside: (x, y, z) of a point inside, lengths.
-
-    Raises:
-        ValueError: if `function` is not a function of one array that JAX can trace, does not return one number, or is
-            not negative at `inside`, or `inside` is not three finite numbers.
-
-    Examples:
-        >>> import jax.numpy as jnp
-        >>> rounded = jw.Surface(lambda x: jnp.sum((x - jnp.array([0.0, 1.2, 0.0])) ** 4) - 1, inside=(0.0, 1.2, 0.0))
-        >>> print(f"{rounded.off(jnp.array([0.0, 0.1, 0.0])):.4f}")
-        0.0872
-    """
-
-    function: Callable
-    inside: Triple
-    _unit: Scalar  # of points; `function` stays in the user's unit
-
-    def __init__(self, function: Callable, inside: Vector):
-        point: Any = checks.as_tuple(inside)
-        checks.function("function", function, shape=(3,))
-        checks.triple("inside", point)
-        self.function, self.inside, self._unit = as_field(function), point, 1.0
-        level = self.level(as_point(point))
-        if not checks.is_traced(level) and not level < 0:
-            checks.fail("inside", "a point at which `function` is negative", f"{triple_text(point)}: {level:.6g}")
-
-    def level(self, x):
-        return jnp.asarray(self.function(x * self._unit), dtype=float)
-
-    def plane_before(self, x):
-        # The level may be anything far from the surface. The tangent plane in the direction of the point will do.
-        inside = self.interior_point()
-        out = x - inside
-        out = jnp.where(jnp.all(out == 0), jnp.array([1e-9, 0.0, 0.0]), out)
-        foot = inside + outermost(lambda share: self.level(inside + share * out)) * out
-        normal = self.normal(foot)
-        return jnp.sum(normal * (x - foot)) + self.off(foot), normal
-
-    def in_unit(self, length):
-        inside = tuple(part / length for part in self.inside)
-        return eqx.tree_at(lambda s: (s.inside, s._unit), self, (inside, self._unit * length))
-
-    def interior_point(self):
-        return as_point(self.inside)
-
-    def _positive(self):
-        return [-self.level(self.interior_point())]
-
-    def __str__(self):
-        return f"surface {name_of(self.function)}(x) = 0"
-
-
 def _check_without_edges(profile: AbstractProfile) -> None:
     checks.instance("profile", profile, AbstractProfile, "a profile such as Parabola or Graph")
     if len(profile.objects) > 1:
@@ -283,6 +218,28 @@ def _check_without_edges(profile: AbstractProfile) -> None:
             f"`profile` must be a profile without edges, such as Parabola, Circle, Ellipse, Graph or Contour, got "
             f"{profile}. In space, use a RoundedBox, or a Capsule for a peg with an end."
         )
+
+
+def _check_convex(profile: AbstractProfile) -> None:
+    """Check that a graph is convex; other profiles without edges are."""
+    graph = profile.profile if isinstance(profile, Tilted) else profile
+    bends_back = isinstance(graph, Graph) and not checks.is_traced(graph) and _bends_back(graph)
+    if not checks.is_traced(bends_back) and bends_back:
+        checks.fail("profile", "convex (if it is not, take a Surface with `convex=False`)", str(profile))
+
+
+@eqx.filter_jit
+def _bends_back(profile: AbstractProfile) -> Bool[Array, ""]:
+    """Whether a profile is concave somewhere."""
+    profile = profile.in_unit(1.0)
+    lowest = profile.lowest()
+
+    def bend(p):
+        return _bend(profile, _Foot(profile.point(p), jnp.zeros(()), p, jnp.asarray(True)))
+
+    ends = jnp.stack([jnp.asarray(end, dtype=float) for end in profile.ends()])
+    bends = jax.vmap(bend)(jnp.ravel(lowest + (ends - lowest)[:, None] * FAR_OUT))
+    return jnp.nanmin(bends) < -BENT_BACK * jnp.nanmax(bends)
 
 
 def _quadric(conic: Conic, around: float) -> Quadric:

@@ -42,8 +42,9 @@ class SpaceScene(AbstractScene):
 
     Args:
         whisker: one Whisker for all bases, or a tuple with one per base.
-        surface: the object: a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved
-            or Surface; or a tuple of objects, which must be apart from each other and are touched one after the other.
+        surface: the object: a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Torus, Plane, Paraboloid, Extruded,
+            Revolved or Surface; or a tuple of objects, which must be apart from each other and are touched one after
+            the other.
         support: springs between the drive and the bases. Default: clamped.
         rod: how rods are computed.
         motion: motion of the drive: a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or one in the plane.
@@ -76,8 +77,8 @@ class SpaceScene(AbstractScene):
 
     def __check_init__(self):
         allowed = (
-            "a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Plane, Paraboloid, Extruded, Revolved or Surface, or "
-            "a tuple of these"
+            "a Sphere, Ellipsoid, Cylinder, Capsule, RoundedBox, Torus, Plane, Paraboloid, Extruded, Revolved or "
+            "Surface, or a tuple of these"
         )
         checks.instance("surface", self.surface, AbstractSurface, allowed)
         kinds = "a LinearDrive, RotaryDrive, WhiskDrive or PoseDrive, or a motion in the plane"

@@ -1,4 +1,4 @@
-"""The object in space: a rigid, convex body inside its surface, which whiskers touch.
+"""The object in space: a rigid body inside its surface, which whiskers touch.
 
 Frame: x along the scan, y up, z = x cross y. Surfaces whose equation is quadratic become one class, `Quadric`, however
 they are placed, so that scenes with any of them share their programs. So do capsules and boxes (`rounded.py`).
@@ -66,12 +66,26 @@ class AbstractSurface(eqx.Module):
     def plane_before(self, x: Point) -> tuple[Float[Array, ""], Point]:
         """A plane between a point and the object: its distance from the point, and its normal, towards the point.
 
-        The object is convex. If the level is a convex function, its linear part at the point is positive where the
-        object is not; a level of another kind needs a plane of its own. Inside, the distance is negative.
+        The distance is negative for points inside the convex hull of the object, which have no such plane. If the level
+        is a convex function, its linear part at the point is positive where the object is not; objects with a level of
+        another kind need a plane of their own.
         """
         gradient = self.gradient(x)
         size = _norm(gradient)
         return self.level(x) / size, gradient / size
+
+    def ball_before(self, x: Point) -> tuple[Float[Array, ""], Point]:
+        """A ball around a point that the object does not enter: its radius, and the direction away from the object.
+
+        Near the surface, the radius is the distance from it, to first order; inside, it is negative. Above a plane
+        between the point and the object, there is such a ball; objects that are not convex need one of their own.
+        """
+        return self.plane_before(x)
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether there is one object, and it is convex."""
+        return True
 
     @property
     def objects(self) -> tuple["AbstractSurface", ...]:
@@ -93,7 +107,10 @@ class AbstractSurface(eqx.Module):
 
     @abc.abstractmethod
     def interior_point(self) -> Point:
-        """A point inside the object: its centre, or a point near the vertex or axis of an unbounded object."""
+        """A point inside the object: its centre, or a point near the vertex or axis of an unbounded object.
+
+        The centre of a ring is not inside it.
+        """
 
     def absorbed(self, turn: Float[Array, "3 3"], before: Point, after: Point) -> "AbstractSurface | None":
         """A surface of the same class after a motion that takes a point to another one; None if there is none."""
@@ -117,7 +134,7 @@ class AbstractSurface(eqx.Module):
         Args:
             rotation: rotation vector: the axis times the angle (rad, right-handed).
             about: (x, y, z) of a point on the axis, lengths; by default the object's `interior_point`: the centre of a
-                sphere or ellipsoid, and the given point of a cylinder.
+                sphere, ellipsoid or torus, and the given point of a cylinder.
 
         Raises:
             ValueError: if an argument is not three finite numbers.
@@ -180,10 +197,19 @@ class Placed(AbstractSurface):
         turn, x = self._before(x)
         return _turned(turn, self.surface.hessian(x))
 
+    @property
+    def is_convex(self):
+        return self.surface.is_convex
+
     def plane_before(self, x):
         turn, x = self._before(x)
         distance, normal = self.surface.plane_before(x)
         return distance, _times(turn, normal)
+
+    def ball_before(self, x):
+        turn, x = self._before(x)
+        radius, away = self.surface.ball_before(x)
+        return radius, _times(turn, away)
 
     def steps_to_joint(self, x, way):
         turn, x = self._before(x)
@@ -268,6 +294,9 @@ class AbstractDescribed(AbstractSurface):
 
     def plane_before(self, x):
         return self.form().plane_before(x)
+
+    def ball_before(self, x):
+        return self.form().ball_before(x)
 
     def steps_to_joint(self, x, way):
         return self.form().steps_to_joint(x, way)

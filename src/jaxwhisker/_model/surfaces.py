@@ -15,10 +15,15 @@ class Surfaces(AbstractSurface):
     """Several objects as one surface: a scene in space makes it of a tuple of surfaces.
 
     The objects are apart from each other. A point on the surface of one of them is farther away from all others, and
-    therefore belongs to the object that is nearest to first order: a contact needs no number.
+    therefore belongs to the object that is nearest to first order: a contact needs no number. There is no plane before
+    all of them.
     """
 
     each: tuple[AbstractSurface, ...]
+
+    @property
+    def is_convex(self):
+        return False
 
     @property
     def objects(self):
@@ -52,9 +57,12 @@ class Surfaces(AbstractSurface):
         return self._of_nearest(x, lambda one: one.hessian(x))
 
     def plane_before(self, x):
-        distances, normals = self.of_each(lambda one: one.plane_before(x))
-        nearest = jnp.argmin(distances)
-        return distances[nearest], normals[nearest]
+        raise NotImplementedError
+
+    def ball_before(self, x):
+        radii, ways = self.of_each(lambda one: one.ball_before(x))
+        nearest = jnp.argmin(radii)
+        return radii[nearest], ways[nearest]
 
     def steps_to_joint(self, x, way):
         return self._of_nearest(x, lambda one: one.steps_to_joint(x, way))

@@ -260,7 +260,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         if problem.ends is not None:
             return jnp.asarray(False)
         recedes = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
-        if len(problem.surface.objects) > 1:  # leaving one, it may come to another
+        if not problem.surface.is_convex:  # leaving one object, or one side of it, a whisker may come to another
             recedes &= leaves(problem, trial.point.u, march.direction)
         return (
             jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & recedes
@@ -372,7 +372,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         del falls
         stance, snapped = trial.stance, march.target.number == SNAP
         deep, passes = stance.free & (stance.nearest.distance < -INSIDE), jnp.asarray(False)
-        if len(self.problem.surface.objects) > 1:
+        if not self.problem.surface.is_convex:
             before, jumps = march.pending.before.phase, snapped & jnp.any(march.pending.whiskers)
             sides = (march.pending.z_before, before), (march.point.z, march.phase)
             met = met_on_the_way(self.problem, march.point.u, *sides, jumps)

@@ -1,7 +1,7 @@
 """Free whiskers: their unloaded shape, their distance from the surface, and the contact that begins where they touch.
 
-Distances are those of planes between a point and the object. They never exceed the distance from the object itself, and
-a drive that moves the whisker by less cannot miss it.
+Distances are the radii of balls that the object does not enter. They never exceed the distance from the object itself,
+and a drive that moves the whisker by less cannot miss it.
 """
 
 from typing import NamedTuple
@@ -46,7 +46,7 @@ def in_scene(outline: SpaceOutline, base: Placement) -> SpaceOutline:
 
 def distances_of(surface: AbstractSurface, position: Float[Array, "points 3"]) -> Float[Array, " points"]:
     """Distances of points from the surface."""
-    return jax.vmap(surface.plane_before)(position)[0]
+    return jax.vmap(surface.ball_before)(position)[0]
 
 
 class CentreLine(NamedTuple):
@@ -70,7 +70,7 @@ def nearest_place(surface: AbstractSurface, line: CentreLine) -> Float[Array, ""
 
     def off(place):
         cubic, t = line.interval(place)
-        return surface.plane_before(cubic.value(t))[0]
+        return surface.ball_before(cubic.value(t))[0]
 
     def finer(_, found):
         middle, width, _, _ = found
@@ -102,7 +102,7 @@ def nearest(surface: AbstractSurface, outline: SpaceOutline, length: Scalar, *, 
     point, tangent = cubic.value(t), cubic.rate(t)
     tangent = tangent / jnp.sqrt(jnp.sum(tangent**2))
     tip = place >= INTERVALS - TIP
-    distance, out = surface.plane_before(point)
+    distance, out = surface.ball_before(point)
     beyond = jnp.where(tip, 0.0, (INTERVALS - place) * spacing)
     side = outline.rotation[jnp.round(place).astype(int), :, 0]
     return Nearest(

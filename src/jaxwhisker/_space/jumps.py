@@ -1,4 +1,4 @@
-"""Jumps among several objects: which one a whisker meets on its way, and where it lands there.
+"""Jumps among objects that are not one convex body: which one a whisker meets on its way, and where it lands there.
 
 The way of a jump is not known. Shapes between those before and after stand for it: their tangents turn evenly.
 """
@@ -60,7 +60,7 @@ def distances(surface: AbstractSurface, line: CentreLine) -> Float[Array, " obje
 
     def distance(one: AbstractSurface) -> Scalar:
         cubic, t = line.interval(nearest_place(one, line))
-        return one.plane_before(cubic.value(t))[0]
+        return one.ball_before(cubic.value(t))[0]
 
     return surface.of_each(distance)
 
@@ -75,38 +75,47 @@ class Met(NamedTuple):
 def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, jumps: Bool[Array, ""]) -> Met:
     """What whiskers meet on their way that they do not touch before; nothing unless there is a jump.
 
-    An object that they touch afterwards counts if they have passed through it, to its far side.
+    An object that they touch afterwards counts if they have passed through it, to its far side. One that is not convex
+    counts as soon as they have left it, although they touch it before.
     """
     surface = problem.surface
+    may_return = np.array([not own.is_convex for own in surface.objects])
 
     def one(way: _Way, z: Contact) -> Met:
         allowed = jnp.where(way.lands, LANDING, DEPTH)
 
         def depths(share: Scalar) -> Float[Array, " objects"]:
-            return jnp.where(way.touched, -jnp.inf, -distances(surface, way.at(share)) - allowed)
+            return -distances(surface, way.at(share)) - allowed
 
         def searching(state: _OnTheWay) -> Bool[Array, ""]:
             return jumps & (state.start < 1.0) & (state.stride > FINEST)
 
         def search(state: _OnTheWay) -> _OnTheWay:
             places = state.start + state.stride * np.arange(1, SECTIONS + 1)
-            deep = ~(jnp.max(jax.vmap(depths)(places), axis=1) <= 0.0)
-            some, before_first = jnp.any(deep), state.start + state.stride * jnp.argmax(deep)
+            each, counts, after = jax.vmap(depths)(places), state.counts, state.counts
+            if may_return.any():
+                left = may_return & ~way.lands & (jax.lax.cummin(each, axis=0) <= 0.0)
+                after = counts | jnp.concatenate([jnp.zeros_like(left[:1]), left])
+                counts = after[:-1]
+            deep = ~(jnp.max(jnp.where(counts, each, -jnp.inf), axis=1) <= 0.0)
+            some, first = jnp.any(deep), jnp.argmax(deep)
             return _OnTheWay(
-                jnp.where(some, before_first, places[-1]),
+                jnp.where(some, state.start + state.stride * first, places[-1]),
                 jnp.where(some, state.stride / SECTIONS, state.stride),
                 state.found | some,
+                after[jnp.where(some, first, -1)] if may_return.any() else after,
             )
 
         # A loop that does nothing without a jump, also among other scans.
-        found = jax.lax.while_loop(searching, search, _OnTheWay(jnp.zeros(()), jnp.asarray(STRIDE), jnp.asarray(False)))
+        start = _OnTheWay(jnp.zeros(()), jnp.asarray(STRIDE), jnp.asarray(False), ~way.touched)
+        found = jax.lax.while_loop(searching, search, start)
         share = jnp.minimum(found.start + SECTIONS * found.stride, 1.0)
         line = way.at(share)
 
         def contact(one: AbstractSurface) -> Contact:
             place = nearest_place(one, line)
             cubic, t = line.interval(place)
-            distance, out = one.plane_before(cubic.value(t))
+            distance, out = one.ball_before(cubic.value(t))
             tangent = cubic.rate(t) / jnp.sqrt(jnp.sum(cubic.rate(t) ** 2))
             side = way.side[jnp.round(place).astype(int)] if problem.rolls else None
             beyond = jnp.where(place >= INTERVALS - TIP, 0.0, (INTERVALS - place) * line.spacing)
@@ -114,7 +123,8 @@ def met_on_the_way(problem: SpaceProblem, u: Scalar, before: Side, after: Side, 
             # It is as if the load had fallen as far as the whisker has come.
             return begins.at[FORCE].set((1 - share) * z[FORCE])
 
-        return Met(found.found, surface.of_each(contact)[jnp.argmax(depths(share))])
+        deepest = jnp.argmax(jnp.where(found.counts, depths(share), -jnp.inf))
+        return Met(found.found, surface.of_each(contact)[deepest])
 
     return jax.vmap(one)(_ways(problem, u, before, after), before[0])
 
@@ -125,6 +135,7 @@ class _OnTheWay(NamedTuple):
     start: Float[Array, ""]  # up to here, nothing is met
     stride: Float[Array, ""]  # from one examined place to the next
     found: Bool[Array, ""]
+    counts: Bool[Array, " objects"]  # whether whiskers meet an object if they are inside it
 
 
 def _ways(problem: SpaceProblem, u: Scalar, before: Side, after: Side) -> _Way:

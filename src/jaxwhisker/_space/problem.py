@@ -83,10 +83,10 @@ class SpaceProblem(eqx.Module):
 
     @property
     def may_touch_twice(self) -> bool:
-        """Whether whiskers may touch in a second place: if they are curved, held by friction, or before two objects."""
+        """Whether whiskers may touch twice: if they are curved or held, or objects are not one convex body."""
         every = self.section if isinstance(self.section, tuple) else (self.section,)
         curved = any(isinstance(one, SpaceSection) and one.curvature[:2] != (None, None) for one in every)
-        return curved or self.friction is not None or len(self.surface.objects) > 1
+        return curved or self.friction is not None or not self.surface.is_convex
 
     @property
     def rows(self) -> int:

@@ -125,8 +125,11 @@ def leaves(problem: SpaceProblem, u: Scalar, way: Scalar) -> Bool[Array, ""]:
     def slowest(body, placement, rate, outline):
         del body
         position, velocity = in_scene(outline, placement).position, rate.position
-        normals = problem.surface.of_each(lambda one: jax.vmap(one.plane_before)(position)[1])
-        return jnp.min(jnp.sum(normals * velocity, axis=-1))
+        distances, normals = problem.surface.of_each(lambda one: jax.vmap(one.plane_before)(position))
+        away = jnp.sum(normals * velocity, axis=-1)
+        # Points inside a convex hull are before no plane. Those inside a convex object are known to be there.
+        convex = all(one.is_convex for one in problem.surface.objects)
+        return jnp.min(away if convex else jnp.where(distances > 0, away, -jnp.inf))
 
     return jnp.all(of_each(problem, slowest, placed, rate, problem.outline) > -STILL)
 

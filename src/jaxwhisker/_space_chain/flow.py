@@ -136,7 +136,7 @@ def _with_landed(
     after: tuple[Contacts, PhasesOfRows],
 ) -> tuple[tuple[Contacts, PhasesOfRows], Bool[Array, " rows"]]:
     """The contacts after a release, and those among them that whiskers meet on the way to their unloaded shapes."""
-    if len(problem.surface.objects) == 1:
+    if problem.surface.is_convex:
         return after, jnp.zeros_like(march.phase, bool)
     z, phase = (values[:, 0] for values in of_whiskers(problem, before))
     freed = _freed(problem, before[1], after[1])

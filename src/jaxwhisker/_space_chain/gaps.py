@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.valleys import GapAlong, lowest_valley
+from jaxwhisker._chain.valleys import WITHIN, GapAlong, lowest_valley
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._space.free import Nearest, contact_at
-from jaxwhisker._space_chain.shaft import WholeShaftInSpace, cell_of
+from jaxwhisker._space_chain.shaft import WholeShaftInSpace, cell_of, within_cells
 
 FAR = jnp.inf
 OWN_CONTACT = 1e-7  # lengths: contacts that are so close to an object are contacts with it
@@ -34,14 +34,18 @@ def gaps_of(surface: AbstractSurface, shaft: WholeShaftInSpace) -> GapsInSpace:
     """The candidates for new contacts of a shaft: for each object one on the shaft, and one at the tip."""
 
     def of_one(one: AbstractSurface):
-        off, out = jax.vmap(jax.vmap(lambda x: (one.off(x), one.normal(x))))(shaft.position)
-        distance = jnp.min(jax.vmap(jax.vmap(lambda x: one.plane_before(x)[0]))(shaft.position))
+        # The gap to a convex object has one valley between two contacts.
+        beyond, position, tangent = shaft[:3] if one.is_convex else within_cells(shaft, WITHIN)
+        off, out = jax.vmap(jax.vmap(lambda x: (one.off(x), one.normal(x))))(position)
+        distance = jnp.min(jax.vmap(jax.vmap(lambda x: one.ball_before(x)[0]))(position))
         # By the arc length towards the base.
-        rate = -jnp.sum(shaft.tangent * out, axis=-1)
+        rate = -jnp.sum(tangent * out, axis=-1)
         starts, ends = (
             here & (jnp.abs(gap) < OWN_CONTACT) for here, gap in ((shaft.starts, off[:, 0]), (shaft.ends, off[:, -1]))
         )
-        own = _on_shaft(one, shaft, GapAlong(off, rate, shaft.beyond), starts, ends), _at_tip(shaft, off, out, starts)
+        own = _on_shaft(one, shaft, GapAlong(off, rate, beyond), starts, ends), _at_tip(shaft, off, out, starts)
+        # Between two points, a shaft may be closer to a thin object than at both.
+        distance = jnp.minimum(distance, own[0].distance)
         return jax.tree.map(lambda *leaves: jnp.stack(leaves), *own), distance, off[-1, -1]
 
     candidates, distance, base = surface.of_each(of_one)

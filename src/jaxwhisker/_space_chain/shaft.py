@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.quaternions import third_axis, turned
@@ -131,3 +132,19 @@ def cell_of(shaft: WholeShaftInSpace, segment: Int[Array, ""], k: Int[Array, ""]
         return shaft.position[segment, j], -h * shaft.tangent[segment, j], h**2 * shaft.bend[segment, j]
 
     return cell_between(beyond, h, jet(k), jet(k + 1))
+
+
+def within_cells(shaft: WholeShaftInSpace, count: int) -> tuple[Float[Array, "segments samples"], Along, Along]:
+    """Arc lengths beyond, positions and tangents at so many equidistant places of each cell, from the tip on."""
+    segments, points = shaft.beyond.shape
+    sample = np.arange((points - 1) * count + 1)
+    k = np.minimum(sample // count, points - 2)
+
+    def at(segment, k, t):
+        cell = cell_of(shaft, segment, k)
+        way = cell.direction(t)
+        size = jnp.sqrt(jnp.sum(way**2))
+        return cell.beyond + t * cell.length, cell.point(t), -way / jnp.where(size > 0, size, 1.0)
+
+    along = jax.vmap(jax.vmap(at, (None, 0, 0)), (0, None, None))
+    return along(jnp.arange(segments), jnp.asarray(k), jnp.asarray(sample / count - k))

@@ -96,6 +96,9 @@ def _checked(scene: Any) -> SpaceScene:
     if not isinstance(scene.motion, (Translation, LinearDrive)):
         allowed = "a function that returns scenes whose motion is a Translation or a LinearDrive"
         checks.fail("build", allowed, f"one whose motion is {scene.motion}")
+    for one in scene.objects:
+        if not one.is_convex:
+            checks.fail("build", "a function that returns scenes with convex objects", f"one with a {one}")
     return scene
 
 
