@@ -2,6 +2,7 @@
 
 # pyright: reportOptionalMemberAccess=false
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -127,6 +128,26 @@ def test_the_vertices_of_a_user_defined_surface_lie_on_it():
 
 def test_an_object_far_from_the_whiskers_is_not_drawn():
     assert near_whiskers(jw.Sphere(0.1, (0.0, 30.0, 0.0))) is None
+
+
+def test_a_ring_hides_what_is_behind_its_tube():
+    torus = jw.Torus(0.5, 0.15, (0.1, 0.8, 0.0), (0.2, 0.1, 1.0))
+    body, towards = near_whiskers(torus), np.array([0.3, 0.2, 1.0]) / np.sqrt(1.13)
+    points = np.array([0.1, 0.8, 0.0]) + np.random.default_rng(0).uniform(-0.8, 0.8, (2000, 3))
+    away = np.asarray(
+        jax.vmap(jax.vmap(torus.off))(jnp.asarray(points[:, None] + np.arange(0, 2, 0.01)[:, None] * towards))
+    )
+    hidden, least = body.hides(points, towards), away.min(axis=1)
+    clear = np.abs(least) > 0.012  # of the polyhedron, the thin layer, and the spacing of places along the rays
+    np.testing.assert_array_equal(hidden[clear], least[clear] < 0)
+    assert 300 < np.sum(hidden & clear) < 1700
+    along = np.array([0.2, 0.1, 1.0]) / np.sqrt(1.05)
+    ends = body.points[body.outline(along)] - [0.1, 0.8, 0.0]
+    radii = np.linalg.norm(ends - (ends @ along)[..., None] * along, axis=-1)
+    np.testing.assert_allclose(np.where(radii > 0.5, 0.65, 0.35), radii, rtol=2 * FLAT)
+    lengths = np.linalg.norm(np.diff(ends, axis=1), axis=2).sum()
+    assert lengths == pytest.approx(2 * np.pi * (0.65 + 0.35), rel=FLAT)
+    assert near_whiskers(torus.moved((30.0, 0.0, 0.0))) is None
 
 
 def test_several_objects_are_parts_of_one_body():

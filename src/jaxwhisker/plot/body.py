@@ -1,7 +1,7 @@
 """The objects of a scene in space as figures draw them: convex polyhedra with their vertices on the surfaces.
 
 Vertices are where rays from inside meet the surface. An object that goes on beyond a box around the whiskers is cut off
-there. Lengths are in L of the first whisker.
+there. A ring consists of slices. Lengths are in L of the first whisker.
 """
 
 from typing import NamedTuple
@@ -11,10 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._model.surface import AbstractSurface
+from jaxwhisker._model.torus import Ring
 
 RAYS, COARSE, AROUND = 2400, 400, 160  # all over the object, for its extent, and in the plane of a cut
+SLICES, SIDES = 72, 32  # of a ring, and of each of its cross-sections
 SPREADS = 4  # rounds in which its extent is found
 PADDING = 800  # rays are padded to a multiple of this, because pictures then share a compiled program
 BISECTIONS = 45
@@ -30,10 +33,10 @@ Point = Float[np.ndarray, "3"]
 
 
 class Body(NamedTuple):
-    """Convex polyhedra: one for every object."""
+    """Convex polyhedra: one for every object, or one for every slice of a ring."""
 
     points: Points
-    faces: Int[np.ndarray, "faces 3"]  # indices of points
+    faces: Int[np.ndarray, "faces 3"]  # indices of points; where slices adjoin, a face has no area
     normals: Float[np.ndarray, "faces 3"]  # outward, of the flat faces
     offsets: Float[np.ndarray, " faces"]  # x.normal + offset is positive outside the polyhedron without a thin layer
     smooth: Float[np.ndarray, "faces 3"]  # outward normals of the surface itself
@@ -70,14 +73,17 @@ class Body(NamedTuple):
 
     def outline(self, towards: Point) -> Int[np.ndarray, "edges 2"]:
         """Edges of the silhouettes for a distant eye, and those of cuts that it sees."""
+        return self.edges[self.shown(towards)]
+
+    def shown(self, towards: Point) -> Int[np.ndarray, " shown"]:
+        """The numbers of these edges."""
         seen = (self.normals @ towards > 0)[self.beside]
-        shown = (seen[:, 0] != seen[:, 1]) | (self.sharp & seen.any(axis=1))
-        edges, own = self.edges[shown], self.part[self.beside[shown, 0]]
+        shown = np.flatnonzero((seen[:, 0] != seen[:, 1]) | (self.sharp & seen.any(axis=1)))
         if len(self.parts) == 1:
-            return edges
-        middles = self.points[edges].mean(axis=1)
+            return shown
+        middles, own = self.points[self.edges[shown]].mean(axis=1), self.part[self.beside[shown, 0]]
         hidden = [(own != part) & self._part_hides(part, middles, towards) for part in self.parts]
-        return edges[~np.any(hidden, axis=0)]
+        return shown[~np.any(hidden, axis=0)]
 
 
 def body_of(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
@@ -87,19 +93,26 @@ def body_of(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
         surface: the object.
         low: least x, y and z of the box.
         high: largest x, y and z.
+
+    Raises:
+        ValueError: if an object is neither convex nor a ring.
     """
-    return _joined([near for one in surface.objects if (near := _near(one, low, high)) is not None])
+    for one in surface.objects:
+        if not (one.is_convex or isinstance(one, Ring)):
+            checks.fail("scene", "one with convex objects and rings, to be drawn", f"one with a {one}")
+    each = (_ring(one, low, high) if isinstance(one, Ring) else _near(one, low, high) for one in surface.objects)
+    return _joined([near for near in each if near is not None])
 
 
 def _joined(each: list[Body]) -> Body | None:
     """Polyhedra as one body; None without any."""
     if len(each) < 2:
         return each[0] if each else None
-    shifted, points, faces = [], 0, 0
-    for part, body in enumerate(each):
+    shifted, points, faces, parts = [], 0, 0, 0
+    for body in each:
         own = {"faces": body.faces + points, "edges": body.edges + points, "beside": body.beside + faces}
-        shifted.append(body._replace(**own, part=body.part + part))
-        points, faces = points + len(body.points), faces + len(body.faces)
+        shifted.append(body._replace(**own, part=body.part + parts))
+        points, faces, parts = points + len(body.points), faces + len(body.faces), parts + len(body.parts)
     return Body(*(np.concatenate(leaves) for leaves in zip(*shifted, strict=True)))
 
 
@@ -114,6 +127,51 @@ def _near(surface: AbstractSurface, low: Point, high: Point) -> Body | None:
     box = np.where(goes_on, np.stack([low - NEAR, high + NEAR]), box)
     points = _spread(surface, box)
     return None if points is None else _polyhedron(surface, box, points)
+
+
+def _ring(ring: Ring, low: Point, high: Point) -> Body | None:
+    """The slices of a ring near a box, each from one cross-section to the next; None if it is too far away."""
+    middle, axis, radius, tube = (np.asarray(part) for part in (ring.middle, ring.axis, ring.radius, ring.tube))
+    out = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    out /= np.linalg.norm(out)
+    turn, angle = (2 * np.pi * np.arange(count)[:, None] / count for count in (SLICES, SIDES))
+    radial = np.cos(turn) * out + np.sin(turn) * np.cross(axis, out)
+    centres = middle + radius * radial
+    if not np.any(np.all((centres > low - WHOLE) & (centres < high + WHOLE), axis=1)):
+        return None
+    ways = (np.cos(angle) * radial[:, None] + np.sin(angle) * axis).reshape(-1, 3)
+    points = np.repeat(centres, SIDES, axis=0) + tube * ways
+    # Corner a of a quadrilateral; b is beside it, d is on the next cross-section, and c is beside d.
+    a = np.arange(SLICES * SIDES)
+    b = a - a % SIDES + (a + 1) % SIDES
+    c, d = (b + SIDES) % a.size, (a + SIDES) % a.size
+    outward = np.cross(points[c] - points[a], points[b] - points[d])
+    outward *= np.sign(np.sum(outward * ways, axis=1, keepdims=True)) / np.linalg.norm(outward, axis=1)[:, None]
+    along = np.cross(axis, radial)
+    own, first = np.arange(SLICES), SIDES * np.arange(SLICES)
+    ends = np.stack([first, np.roll(first, -1)])[..., None].repeat(3, axis=-1).reshape(-1, 3)
+    normals = np.concatenate([outward, outward, -along, np.roll(along, -1, axis=0)])
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1), ends])
+    lean = ways[a] + ways[b] + ways[c] + ways[d]
+    lean /= np.linalg.norm(lean, axis=1, keepdims=True)
+    none, flat = np.zeros(len(faces), bool), np.arange(len(faces)) >= 2 * a.size
+    return Body(
+        points=points,
+        faces=faces,
+        normals=normals,
+        offsets=np.where(flat, 0.0, SUNK) - np.sum(normals * points[faces[:, 0]], axis=1),
+        smooth=np.concatenate([lean, lean, normals[flat]]),
+        cut=none,
+        edges=np.concatenate([np.stack([a, d], axis=1), np.stack([a, b], axis=1)]),
+        beside=np.concatenate(
+            [
+                np.stack([a, a - a % SIDES + (a - 1) % SIDES], axis=1),
+                np.stack([a, (a - SIDES) % a.size], axis=1),
+            ]
+        ),
+        sharp=np.zeros(2 * a.size, bool),
+        part=np.concatenate([np.repeat(own, SIDES), np.repeat(own, SIDES), own, own]),
+    )
 
 
 def _spread(surface: AbstractSurface, box: Float[np.ndarray, "2 3"]) -> Points | None:

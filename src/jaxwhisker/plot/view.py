@@ -11,6 +11,7 @@ from jaxtyping import Float
 from matplotlib import rcParams
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
@@ -149,13 +150,17 @@ class Flat:
         """The objects, those that are nearer in front."""
         from scipy.spatial import ConvexHull
 
+        shown = body.shown(self.towards)
+        own, lines = body.part[body.beside[shown, 0]], body.points[body.edges[shown]][..., self.shown]
         each = [body.points[np.unique(body.faces[body.part == part])] for part in body.parts]
-        for k, points in enumerate(sorted(each, key=lambda points: float(np.max(points @ self.towards)))):
-            flat = points[:, self.shown]
+        nearest = [float(np.max(points @ self.towards)) for points in each]
+        style = {"colors": [to_rgb(SUPPORT)], "linewidths": 1, "capstyle": "round"}
+        for k, part in enumerate(np.argsort(nearest)):
+            flat = each[part][:, self.shown]
             around = flat[ConvexHull(flat).vertices]
             order = 0.5 * k / len(each)
             self.ax.fill(*around.T, color=OBJECT, linewidth=0, zorder=order)
-            self.ax.plot(*np.concatenate([around, around[:1]]).T, color=SUPPORT, linewidth=1, zorder=order + 0.01)
+            self.ax.add_collection(LineCollection(list(lines[own == part]), **style, zorder=order))
 
     def window(self, low: Point, high: Point, labels: Sequence[str]) -> None:
         """Limits and labels of the axes."""
