@@ -81,6 +81,8 @@ SCENES = {
     ),
     "cylinder": spatial(
         jw.Cylinder(0.9, point=(0.0, 1.2, 0.1), axis=(0.5, 0.0, 0.8)),
+        whisker=HEAVY,
+        gravity=(0.5, -1, 0.3),
         motion=jw.LinearDrive((-1.0, 0.0, 0.3), (0.1, 0.2, 0.3)),
     ),
     "paraboloid": spatial(

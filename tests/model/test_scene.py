@@ -162,7 +162,7 @@ def test_hollow_objects_need_several_contacts(profile):
         ({"contacts": MOST_CONTACTS + 1}, f"`contacts` must be at most {MOST_CONTACTS}, got {MOST_CONTACTS + 1}"),
         ({"friction": 0.3}, "`friction` must be None for several contacts in space, got 0.3"),
         ({"rod": jw.ClosedForm()}, "`rod` must be Shooting\\(\\) for several contacts, got"),
-        ({"gravity": (0.0, -9.81)}, "`gravity` must be None in space"),
+        ({"gravity": (0.0, -9.81, 0.0)}, "`gravity` must be None for several contacts, got"),
     ],
 )
 def test_several_contacts_in_space_refuse_what_they_do_not_model(changes, message):

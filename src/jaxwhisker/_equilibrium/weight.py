@@ -5,7 +5,7 @@ known, but the moment that it exerts there depends on how it bends. This moment 
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,9 @@ from jaxwhisker._rod.foundation import DeadDensity, Density, integrate_on
 from jaxwhisker._rod.rod import Along, Load, RodState, RodStates, Section, moment
 from jaxwhisker._rod.walk import pressed
 
+if TYPE_CHECKING:
+    from jaxwhisker._rod.space import SpaceSection  # which the plane does not load
+
 Gravity = tuple[Scalar, Scalar]  # acceleration along x and y
 
 POINTS, WEIGHTS = gauss(8)  # on each piece of a whisker between breaks; exact for round cones
@@ -31,27 +34,35 @@ def _on_rod(dead: DeadDensity) -> Density:
     return lambda x, y, s: (dead(s)[0], dead(s)[1])
 
 
+Moment = Float[Array, "*axes"]  # a number in the plane, three in space
+
+
 class _Growing(NamedTuple):
     """A moment that is solved for with growing shares of the weight."""
 
     share: Scalar  # for which it is known
-    turn: Scalar  # the moment with this share
+    turn: Moment  # the moment with this share
     aim: Scalar  # the next share
-    guess: Scalar  # the moment with that
+    guess: Moment  # the moment with that
     steps: Array  # of Newton's method, with that share
     total: Array  # of them, with all shares
 
-    def aimed(self, share: Scalar, turn: Scalar, aim: Scalar, guess: Scalar) -> "_Growing":
+    def aimed(self, share: Scalar, turn: Moment, aim: Scalar, guess: Moment) -> "_Growing":
         return _Growing(share, turn, aim, guess, jnp.zeros_like(self.steps), self.total)
 
 
-def _grown(missed: Callable[[Scalar, Scalar], Scalar], lever: Scalar) -> Scalar:
-    """The moment with which nothing is missed; first with the whole weight, and if need be with shares that grow."""
+def grown(newton_step: Callable[[Scalar, Moment], Moment], lever: Moment) -> Moment:
+    """The moment with which nothing is missed; first with the whole weight, and if need be with shares that grow.
+
+    Args:
+        newton_step: the step of Newton's method from a moment with a share of the weight.
+        lever: a guess with the whole weight.
+    """
 
     def newton(at: _Growing) -> _Growing:
-        value, slope = jax.jvp(lambda turn: missed(at.aim, turn), (at.guess,), (jnp.ones_like(at.guess),))
-        size = jnp.abs(value / slope)
-        at = at._replace(guess=at.guess - value / slope, steps=at.steps + 1, total=at.total + 1)
+        step = newton_step(at.aim, at.guess)
+        size = jnp.max(jnp.abs(step))
+        at = at._replace(guess=at.guess + step, steps=at.steps + 1, total=at.total + 1)
         ahead = jnp.minimum(3 * at.aim - 2 * at.share, 1.0)  # twice as far
         further = at.aimed(at.aim, at.guess, ahead, at.guess * ahead / at.aim)
         half = (at.share + at.aim) / 2
@@ -65,9 +76,19 @@ def _grown(missed: Callable[[Scalar, Scalar], Scalar], lever: Scalar) -> Scalar:
     def searching(at: _Growing) -> Array:
         return (at.share < 1) & (at.total < MOST_STEPS)
 
-    zero, one = jnp.zeros_like(lever), jnp.ones_like(lever)
-    found = jax.lax.while_loop(searching, newton, _Growing(zero, zero, one, lever, jnp.asarray(0), jnp.asarray(0)))
+    start = _Growing(jnp.zeros(()), jnp.zeros_like(lever), jnp.ones(()), lever, jnp.asarray(0), jnp.asarray(0))
+    found = jax.lax.while_loop(searching, newton, start)
     return jnp.where(found.share < 1, jnp.nan, found.turn)
+
+
+def mass_between(section: "Section | SpaceSection", start: Scalar, stop: Scalar) -> Float[Array, ""]:
+    """Mass between two arc lengths from the base, without that at the tip, relative to the unit of length."""
+    ends = jnp.stack([start, stop])
+    if section.breaks is not None:
+        breaks = jnp.clip(section.breaks / section.length_unit, start, stop)
+        ends = jnp.sort(jnp.concatenate([ends, breaks]))
+    s = ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS
+    return jnp.sum(jnp.diff(ends)[:, None] * WEIGHTS * jax.vmap(jax.vmap(section.mass))(s))
 
 
 class Weight(NamedTuple):
@@ -88,12 +109,7 @@ class Weight(NamedTuple):
 
     def between(self, section: Section, start: Scalar, stop: Scalar) -> tuple[Scalar, Scalar]:
         """Force of the weight between two arc lengths from the base, without that of the mass at the tip."""
-        ends = jnp.stack([start, stop])
-        if section.breaks is not None:
-            breaks = jnp.clip(section.breaks / section.length_unit, start, stop)
-            ends = jnp.sort(jnp.concatenate([ends, breaks]))
-        s = ends[:-1, None] + jnp.diff(ends)[:, None] * POINTS
-        mass = jnp.sum(jnp.diff(ends)[:, None] * WEIGHTS * jax.vmap(jax.vmap(section.mass))(s))
+        mass = mass_between(section, start, stop)
         return mass * self.x, mass * self.y
 
     def beyond(self, start: RodState, s: Scalar, length: Scalar, section: Section, *, steps: int) -> Load:
@@ -122,13 +138,17 @@ class Weight(NamedTuple):
             )
             return jnp.asarray(moment(end[0], end[1], carried))
 
+        def newton_step(share: Scalar, turn: Moment) -> Moment:
+            value, slope = jax.jvp(lambda turn: missed(share, turn), (turn,), (jnp.ones_like(turn),))
+            return -value / slope
+
         # As if the part beyond were straight, with its line's weight in its middle.
         lever = rest * ((line_y / 2 + tip_y) * cos - (line_x / 2 + tip_x) * sin)
         one = jnp.ones_like(lever)
         turn = jax.lax.custom_root(
             lambda turn: missed(one, turn),
             jax.lax.stop_gradient(lever),
-            lambda _, lever: _grown(missed, lever),
+            lambda _, lever: grown(newton_step, lever),
             lambda slope, value: value / slope(one),
         )
         return load(one, turn)

@@ -135,6 +135,8 @@ class MeasurementModel:
         checks.instance("build", scene, SpaceScene, "a SpaceScene", verb="return")
         if scene.friction is not None:
             checks.fail("build", "a function that returns a scene without friction", "one with friction")
+        if scene.gravity is not None:
+            checks.fail("build", "a function that returns a scene without gravity", "one with gravity")
         if scene.contacts > 1:
             allowed = "a function that returns a scene with one contact of each whisker"
             checks.fail("build", allowed, f"one with contacts={scene.contacts}")

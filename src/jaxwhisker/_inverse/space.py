@@ -80,8 +80,10 @@ def space_sensor(scene: SpaceScene) -> SpaceSensor:
     """The sensor of a scene in space.
 
     Raises:
-        ValueError: if torsion springs connect whiskers.
+        ValueError: if torsion springs connect whiskers, or these have a weight.
     """
+    if scene.gravity is not None:
+        checks.fail("sensor", "a scene without gravity", str(scene))
     for spring in scene.support.springs:
         if 0 not in spring.between and spring.axis.startswith("phi"):
             allowed = "a scene whose torsion springs do not connect whiskers"

@@ -12,6 +12,7 @@ from jaxwhisker._model.along import LinearTaper, RoundSection
 from jaxwhisker._model.motion import Mount, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.whisker import Whisker
+from jaxwhisker._rod.elastica import AbstractRod, Shooting
 
 MOST_CONTACTS = 8  # of a whisker
 
@@ -63,6 +64,14 @@ def check_whiskers(whisker: Any, support: Any) -> tuple[Whisker, ...]:
     return each_whisker(whisker, support)
 
 
+def check_weights(whiskers: tuple[Whisker, ...], rod: AbstractRod) -> None:
+    """Check that whiskers under gravity have masses, and that their rods can be computed."""
+    if any(whisker.mass_per_length is None for whisker in whiskers):
+        checks.fail("mass_per_length", "given for whiskers with a weight", "None")
+    if not isinstance(rod, Shooting):
+        checks.fail("rod", "Shooting() for whiskers with a weight", f"{type(rod).__name__}()")
+
+
 def in_row(whisker: Any, support: Any) -> Any:
     """The support with the rest lengths that follow from the first whisker; wrong types are rejected later."""
     first = whisker[0] if isinstance(whisker, tuple) and whisker else whisker
@@ -85,6 +94,11 @@ def support_text(support: Support) -> str:
 def motion_text(motion: Any) -> str:
     """Text of a motion that is not the default."""
     return "" if isinstance(motion, Translation) and motion.onwards < 0 else f", {motion}"
+
+
+def gravity_text(gravity: tuple[Scalar, ...] | None) -> str:
+    """Text of a gravity; nothing without one."""
+    return "" if gravity is None else f", gravity ({', '.join(map(as_text, gravity))})"
 
 
 def whisker_text(whisker: Whisker) -> str:

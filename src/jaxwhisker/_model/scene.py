@@ -30,8 +30,10 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._model.assembly import (
     MOST_CONTACTS,
     AbstractScene,
+    check_weights,
     check_whiskers,
     each_whisker,
+    gravity_text,
     in_row,
     motion_text,
     support_text,
@@ -68,8 +70,6 @@ class _OfObject(type(eqx.Module)):
 
             if (detect := kwargs.pop("detect", None)) is not None:
                 checks.fail("detect", "None in space", repr(detect))
-            if (gravity := kwargs.pop("gravity", None)) is not None:
-                checks.fail("gravity", "None in space", repr(gravity))
             return SpaceScene(*args, **kwargs)
         return super().__call__(*args, **kwargs)
 
@@ -158,12 +158,9 @@ class Scene(AbstractScene, metaclass=_OfObject):
         if self.gravity is None:
             return
         checks.pair("gravity", self.gravity)
-        if any(whisker.mass_per_length is None for whisker in self.whiskers):
-            checks.fail("mass_per_length", "given for whiskers with a weight", "None")
+        check_weights(self.whiskers, self.rod)
         if not isinstance(self.motion, Translation):
             checks.fail("motion", "a Translation for whiskers with a weight", str(self.motion))
-        if not isinstance(self.rod, Shooting):
-            checks.fail("rod", "Shooting() for whiskers with a weight", f"{type(self.rod).__name__}()")
 
     def _check_several(self):
         """Check that all parts of a scene with several contacts of one whisker are modelled."""
@@ -201,7 +198,7 @@ class Scene(AbstractScene, metaclass=_OfObject):
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
         contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
-        gravity = "" if self.gravity is None else f", gravity ({', '.join(map(as_text, self.gravity))})"
+        gravity = gravity_text(self.gravity)
         parts = f"{self.profile}{whisker}{friction}{gravity}{rods}{motion}{detect}{contacts}"
         return f"{support_text(self.support)}, {parts}"
 

@@ -7,7 +7,7 @@ along the axes of the drive's frame.
 Without friction, the contact force is f n, with f >= 0 and the outward normal n of the object. With the friction
 coefficient mu, a contact slips with the force f (n - mu v/|v|), v the velocity of the whisker's material point there.
 The support exerts the reaction (fx, fy, fz) on the whisker, and the moment (mx, my, mz) about its displaced base; all
-in the frame of the scene.
+in the frame of the scene. With gravity, they balance the weight, too.
 """
 
 import equinox as eqx
@@ -16,18 +16,20 @@ from jaxtyping import Array, Bool
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.leaves import as_text
-from jaxwhisker._base.types import Scalar
+from jaxwhisker._base.types import Scalar, Triple
 from jaxwhisker._model.assembly import (
     MOST_CONTACTS,
     AbstractScene,
+    check_weights,
     check_whiskers,
+    gravity_text,
     in_row,
     motion_text,
     support_text,
     whisker_text,
 )
 from jaxwhisker._model.drives import SpaceMotion
-from jaxwhisker._model.motion import AbstractMotion, Translation
+from jaxwhisker._model.motion import AbstractMotion, AbstractTranslation, Translation
 from jaxwhisker._model.support import Support
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._model.surfaces import as_one_surface
@@ -51,8 +53,12 @@ class SpaceScene(AbstractScene):
         friction: Coulomb friction coefficient mu between whiskers and object, not negative. Default: no friction.
         contacts: largest number of contacts of one whisker, at most 8. With more than 1, whiskers may touch several
             objects at once, and one object in several places; contact fields of results then have a last axis of
-            contacts, from the tip to the base. Scans then take several times as long. Not available with friction and
-            `ClosedForm()`.
+            contacts, from the tip to the base. Scans then take several times as long. Not available with friction,
+            gravity and `ClosedForm()`.
+        gravity: acceleration along x, y and z, whose weight of each whisker's `mass_per_length` and `tip_mass` bends it
+            everywhere, before any contact and beyond it: (0.0, -9.81, 0.0) for whiskers in SI units that stand upright.
+            The reactions then balance the weight, too. The drive moves along a straight line without turning, and
+            torsion springs do not connect whiskers. Such scans take ten times as long and more. Default: no weight.
 
     Raises:
         ValueError: if an argument has the wrong type or value, the numbers of whiskers and bases differ, the support
@@ -70,6 +76,7 @@ class SpaceScene(AbstractScene):
     motion: SpaceMotion | AbstractMotion = Translation()
     friction: Scalar | None = None
     contacts: int = eqx.field(static=True, default=1)
+    gravity: Triple | None = eqx.field(default=None, converter=checks.as_tuple)
     in_space = True
 
     def __post_init__(self):
@@ -89,12 +96,28 @@ class SpaceScene(AbstractScene):
             checks.number("friction", self.friction, non_negative=True)
         checks.instance("rod", self.rod, AbstractRod, "Shooting() or ClosedForm()")
         checks.count("contacts", self.contacts)
+        self._check_gravity()
         if self.contacts > 1:
             self._check_several()
         elif isinstance(self.rod, ClosedForm) and (self.rolls or not all(w.uniform for w in self.whiskers)):
             checks.fail(
                 "rod", "Shooting() for whiskers that are curved, not uniform or on torsion springs", "ClosedForm()"
             )
+
+    def _check_gravity(self):
+        """Check that whiskers have weights if there is gravity, and that all other parts of the scene take them."""
+        if self.gravity is None:
+            return
+        checks.triple("gravity", self.gravity)
+        if self.contacts > 1:
+            checks.fail("gravity", "None for several contacts", repr(self.gravity))
+        check_weights(self.whiskers, self.rod)
+        if not isinstance(self.motion, AbstractTranslation):
+            checks.fail("motion", "a LinearDrive or a Translation for whiskers with a weight", str(self.motion))
+        for spring in self.support.springs:
+            if 0 not in spring.between and spring.axis.startswith("phi"):
+                allowed = "without torsion springs that connect whiskers with a weight"
+                checks.fail("support", allowed, f"one between {spring.between}")
 
     def _check_several(self):
         """Check that all parts of a scene with several contacts of one whisker are modelled."""
@@ -112,15 +135,19 @@ class SpaceScene(AbstractScene):
 
     @property
     def rolls(self) -> bool:
-        """Whether rods have a roll: whiskers are curved or twisted, their bases may turn, or have several contacts."""
+        """Whether rods have a roll: whiskers are curved or heavy, their bases may turn, or have several contacts."""
         curved = any(w.needs_space or w.intrinsic_curvature is not None for w in self.whiskers)
-        return curved or self.contacts > 1 or any(axis.startswith("phi") for axis in self.support.axes)
+        curved |= self.contacts > 1 or self.gravity is not None
+        return curved or any(axis.startswith("phi") for axis in self.support.axes)
 
     def valid(self) -> Bool[Array, ""]:
         """Whether traced parameters are in the domains that the constructors check."""
         valid = self.surface.valid() & self.support.valid() & self.motion.valid()
         if self.friction is not None:
             valid &= (self.friction >= 0) & jnp.isfinite(self.friction)
+        if self.gravity is not None:
+            heavy = [whisker.valid_masses() for whisker in self.whiskers]
+            valid &= checks.all_finite(self.gravity) & jnp.all(jnp.stack(heavy))
         return valid & jnp.all(jnp.stack([whisker.valid() for whisker in self.whiskers]))
 
     def __str__(self) -> str:
@@ -128,6 +155,7 @@ class SpaceScene(AbstractScene):
         whisker, motion = whisker_text(self.whiskers[0]), motion_text(self.motion)
         friction = "" if self.friction is None else f", friction {as_text(self.friction)}"
         contacts = f", up to {self.contacts} contacts" if self.contacts > 1 else ""
-        return f"{support_text(self.support)}, {self.surface}{whisker}{friction}{rods}{motion}{contacts}"
+        gravity = gravity_text(self.gravity)
+        return f"{support_text(self.support)}, {self.surface}{whisker}{friction}{gravity}{rods}{motion}{contacts}"
 
     __repr__ = __str__

@@ -61,11 +61,12 @@ class SpaceSection(eqx.Module):
     stiffness_unit: Scalar = 1.0  # of EI, in the scene's units
     breaks: Along | None = None  # arc lengths at which a function jumps or has a kink, in the scene's units
     lateral_ratio: Scalar | None = None  # stiffness against bending about d1 divided by EI; None: they are equal
+    mass_per_length: AlongRod | None = None  # in the scene's units; None if its weight does not matter
 
     @property
     def uniform(self) -> bool:
-        """Whether stiffness and curvature are numbers."""
-        return not any(map(callable, (self.bending_stiffness, *self.curvature)))
+        """Whether stiffness, curvature and mass are numbers."""
+        return not any(map(callable, (self.bending_stiffness, *self.curvature, self.mass_per_length)))
 
     @property
     def excess(self) -> Scalar | None:
@@ -90,6 +91,10 @@ class SpaceSection(eqx.Module):
         stiffness = at_arc(self.bending_stiffness, s * self.length_unit) / self.stiffness_unit
         stiff = stiffness > 0
         return jnp.where(stiff, 1 / jnp.where(stiff, stiffness, 1.0), 0.0)
+
+    def mass(self, s: Scalar) -> Float[Array, ""]:
+        """Mass per length at the arc length s from the base, in the scene's units."""
+        return at_arc(0.0 if self.mass_per_length is None else self.mass_per_length, s * self.length_unit)
 
     def intrinsic(self, s: Scalar) -> Vector:
         """Intrinsic curvatures and twist at the arc length s from the base."""

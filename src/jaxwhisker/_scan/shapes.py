@@ -99,7 +99,7 @@ def shapes_of(scene: Any, state: Any, control: Any, *, points: int) -> Any:
 
     They have derivatives with respect to the states and the whiskers.
     """
-    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, None if scene.in_space else holds(scene)))
+    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, holds(scene)))
     state, control = state_of(state), None if by is None else checks.as_float(control)
     past = jax.tree.map(checks.as_float, scene.surface) if scene.in_space and has_several(state) else None
     if checks.is_traced((state, control, whiskers, by, past)):
@@ -135,7 +135,7 @@ def _shapes_of(
 
     def lines(state: Any, control: Scalar | None) -> list[tuple[Array, ...]]:
         each: list[Held | None] = [None] * len(whiskers)
-        if by is not None and control is not None:
+        if by is not None and control is not None and not in_space:
             each = [*held(by, whiskers, control, state.shaft_loads)[0]]
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
@@ -143,7 +143,8 @@ def _shapes_of(
             if past is not None:
                 found.append(line_past_contacts(whisker, past, points, at))
             else:
-                found.append(centre_line(whisker, points, at) if in_space else _line(whisker, points, at, own))
+                gravity = None if by is None else by.gravity
+                found.append(centre_line(whisker, points, at, gravity) if in_space else _line(whisker, points, at, own))
         return found
 
     for _ in range(state.base_x.ndim - 1):

@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.program import Program
+from jaxwhisker._base.rotation import left_jacobian
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
@@ -24,7 +26,17 @@ from jaxwhisker._scan.signals import beyond_phase
 from jaxwhisker._scan.slopes import memory_now
 from jaxwhisker._scan.state import SpaceState
 from jaxwhisker._scan.steps import interpolate, is_near
-from jaxwhisker._space.contact import FORCE, POINT, ROLL, SLACK, TRACTION, SpaceBase, angle_and_arc
+from jaxwhisker._space.contact import (
+    AHEAD,
+    FORCE,
+    POINT,
+    ROLL,
+    SLACK,
+    TRACTION,
+    UNKNOWNS,
+    SpaceBase,
+    angle_and_arc,
+)
 from jaxwhisker._space.friction import continuation_of
 from jaxwhisker._space.history import Followed, LinkedNodes, contacts_within, interpolated, linked, stages_before
 from jaxwhisker._space.implicit import sides_of_events, solved, with_turns
@@ -78,6 +90,7 @@ class Space(Mechanics):
     def check(scene: SpaceScene, problem: SpaceProblem) -> None:
         if not bool(problem.valid):
             check_thickness(scene)
+            check_weight(scene, problem)
             raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
 
     @staticmethod
@@ -243,6 +256,15 @@ def check_thickness(scene: SpaceScene) -> None:
         )
 
 
+def check_weight(scene: SpaceScene, problem: SpaceProblem) -> None:
+    """Raise an error if whiskers of a valid scene buckle under their own weight."""
+    if problem.weight is not None and bool(scene.valid()):
+        raise ValueError(
+            "`gravity` must leave free whiskers stable, which an upright one is up to a weight of 7.84 EI/L^2, got "
+            f"{scene}."
+        )
+
+
 class SpaceSignals(NamedTuple):
     """An equilibrium in the scene's units, and its largest residual."""
 
@@ -270,9 +292,15 @@ def signals(
     def if_touching(values: Array) -> Array:
         return jnp.where(touching.reshape(touching.shape + (1,) * (values.ndim - 1)), values, 0.0)
 
+    reaction = if_touching(-base.force), if_touching(-base.moment)
+    if problem.hanging is not None:  # a drive that moves along a line does not turn
+        turn = jax.vmap(lambda turn, load: solve(left_jacobian(turn).T, load[:, None])[:, 0])
+        weights = problem.hanging[:, :3], turn(pose[:, 3:], problem.hanging[:, 3:])
+        reaction = (part - jnp.where(touching[:, None], 0.0, own) for part, own in zip(reaction, weights, strict=True))
+    force, moment = reaction
     vectors = {
-        ("fx", "fy", "fz"): if_touching(-base.force) * unit.force,
-        ("mx", "my", "mz"): if_touching(-base.moment) * unit.moment,
+        ("fx", "fy", "fz"): force * unit.force,
+        ("mx", "my", "mz"): moment * unit.moment,
         ("base_x", "base_y", "base_z"): placed.position * unit.length,
         ("contact_x", "contact_y", "contact_z"): if_touching(z[:, POINT]) * unit.length,
     }
@@ -311,9 +339,19 @@ def _friction(
 ) -> dict[str, Array]:
     """Fields of a state with friction."""
     normal = jax.vmap(problem.surface.normal)(z[:, POINT])
-    along = if_touching(base.force - z[:, FORCE, None] * normal) * problem.unit.force
+    push = base.force if base.push is None else base.push
+    along = if_touching(push - z[:, FORCE, None] * normal) * problem.unit.force
     return {
         "slip": jnp.where(if_touching(slips.astype(int)) > 0, 1, 0),
         "normal_force": if_touching(z[:, FORCE]) * problem.unit.force,
         **{f"friction_{axis}": part for axis, part in zip("xyz", along.T, strict=True)},
     }
+
+
+def _free_state(problem: SpaceProblem, control: Scalar) -> SpaceState:
+    """State of free whiskers at a control, as if there were no object."""
+    z = jnp.zeros((problem.length.size, UNKNOWNS)).at[:, AHEAD].set(np.array([1.0, 0.0, 0.0]))
+    return signals(problem, z, control / problem.unit.control, jnp.full(z.shape[0], int(Phase.free))).state
+
+
+free_state_now = Program(_free_state)

@@ -1,7 +1,7 @@
 """Springs and centre lines in a state: walks along whiskers from their bases, lengths and energies of springs."""
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,6 +26,7 @@ from jaxwhisker._equilibrium.shaft_springs import (
     walk,
 )
 from jaxwhisker._equilibrium.weight import Gravity, weights_of
+from jaxwhisker._model.assembly import AbstractScene
 from jaxwhisker._model.motion import AbstractMotion, Frame, Mount, Pose, mounted, pose_of
 from jaxwhisker._model.network import SpringEnds
 from jaxwhisker._model.scene import Scene, Sensor, Units, moves_along_x
@@ -50,8 +51,8 @@ class Holds(eqx.Module):
     """What acts on the shafts of whiskers, by springs and weights: parts of a scene that all of its states share."""
 
     support: Support
-    motion: AbstractMotion
-    gravity: Gravity | None = None
+    motion: Any  # in the plane or in space
+    gravity: Any = None  # a Gravity, or a Triple in space
 
 
 class Suspension(NamedTuple):
@@ -74,7 +75,7 @@ class Held(NamedTuple):
     section: Section | None = None  # of the whisker, if it has a weight
 
 
-def holds(scene: Scene | Sensor) -> Holds | None:
+def holds(scene: AbstractScene | Sensor) -> Holds | None:
     """What acts on the shafts of a scene's or sensor's whiskers; None without springs on shafts and gravity."""
     acts = scene.support.on_shafts or scene.gravity is not None
     return Holds(scene.support, scene.motion, scene.gravity) if acts else None

@@ -69,7 +69,7 @@ def bending(result: Any, at: Any) -> Bending:
         length = max(float(whisker.length) for whisker in scene.whiskers)
         if np.min(at) < 0 or np.max(at) > length:
             checks.fail("at", f"arc lengths between 0 and {length:g}, the length of the longest whisker", at)
-    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, None if scene.in_space else holds(scene)))
+    whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, holds(scene)))
     at = _as_array(at)
 
     def block(state: Any, control: Any) -> Bending:
@@ -141,12 +141,13 @@ def _bending(
 
     def one(state: Any, control: Scalar | None) -> Bending:
         each: list[Held | None] = [None] * len(whiskers)
-        if by is not None and control is not None:
+        if by is not None and control is not None and not in_space:
             each = [*held(by, whiskers, control, state.shaft_loads)[0]]
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
             if in_space:
-                bent = bending_of(whisker, jax.tree.map(lambda field, k=k: field[k], state), at, INTERVALS)
+                of_state = jax.tree.map(lambda field, k=k: field[k], state)
+                bent = bending_of(whisker, of_state, at, INTERVALS, None if by is None else by.gravity)
             else:
                 moment = _moments(whisker, of_whisker(state, k), at, own)
                 stiffness = jax.vmap(whisker.stiffness_at)(at)

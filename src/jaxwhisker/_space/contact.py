@@ -29,13 +29,16 @@ from jaxwhisker._model.drives import Placement
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._rod.elastica import AbstractRod, Shooting, rod_end, uneven_rod_end
 from jaxwhisker._rod.rod import Section
-from jaxwhisker._rod.space import SpaceSection
-from jaxwhisker._rod.space_end import space_rod_end
+from jaxwhisker._rod.space import SpaceLoad, SpaceSection, SpaceState, curvature
+from jaxwhisker._rod.space_end import contact_rotation, space_rod_end
+from jaxwhisker._rod.space_line import integrate_under
+from jaxwhisker._space.weight import SpaceWeight
 
 FORCE, ROLL, SLACK = 0, 1, 2
 POINT, AHEAD, TRACTION = slice(3, 6), slice(6, 9), slice(9, 11)
 UNKNOWNS = 11
 LIGHT = 1e-4  # EI/L^2: the direction of smaller forces is not resolved
+STEPS_BEYOND = 8  # of the part beyond a contact, for the curvature there
 GRAZING = 1e-3  # angle between a tip and the surface below which it is nearly tangential
 
 Vector = Float[Array, "3"]
@@ -49,6 +52,7 @@ class SpaceWhisker(NamedTuple):
     bending_stiffness: Scalar  # at the base
     section: Section | SpaceSection | None  # None: uniform, straight and without torsion
     mount: Placement  # in the frame of the drive
+    weight: SpaceWeight | None = None  # None without gravity
 
 
 class SpaceBase(NamedTuple):
@@ -57,8 +61,9 @@ class SpaceBase(NamedTuple):
     position: Vector
     tangent: Vector  # of the whisker, there
     rotation: Float[Array, "3 3"] | None  # of the body frame; None for a straight round rod
-    force: Vector  # of the object on the whisker
-    moment: Vector  # of that force about the base
+    force: Vector  # of the object on the whisker, and its weight
+    moment: Vector  # of these about the base
+    push: Vector | None = None  # of the object on the whisker; None if this is all of the force
 
 
 class Traction(NamedTuple):
@@ -118,6 +123,12 @@ def base_of(
     frame, force, chi, roll, arc = loaded(body, surface, z, phase, traction)
     ahead, _, out = frame.T
     rotation = None
+    if body.weight is not None:
+        assert isinstance(method, Shooting)  # checked by SpaceScene
+        (r, q), carried = _walked(body, body.weight.seen_in(frame), force, chi, roll, arc, method.steps)
+        rotation = _product(frame, matrix_of(q))
+        total, moment = (_turned(frame, jnp.stack(part)) for part in (carried.force, carried.moment_at(r)))
+        return SpaceBase(z[POINT] + _turned(frame, jnp.stack(r)), rotation[:, 2], rotation, total, moment, force * out)
     if isinstance(body.section, SpaceSection):
         assert isinstance(method, Shooting) and isinstance(rates, Shooting)  # checked by SpaceScene
         twice = 1 if body.section.uniform else 2
@@ -133,6 +144,28 @@ def base_of(
         from_contact, tangent = x * ahead - y * out, cos * ahead - sin * out
     push = force * out
     return SpaceBase(z[POINT] + from_contact, tangent, rotation, push, jnp.cross(-from_contact, push))
+
+
+def _walked(
+    body: SpaceWhisker, weight: SpaceWeight, force: Scalar, chi: Scalar, roll: Scalar, arc: Scalar, steps: int
+) -> tuple[SpaceState, SpaceLoad]:
+    """State of a whisker with a weight at its base, and the load on it there, in the frame of its contact."""
+    assert isinstance(body.section, SpaceSection)
+    start, load = pressed_start(body, weight, force, chi, roll, arc, steps)
+    density = weight.density(body.section)
+    return integrate_under(start, load, arc, body.section, density, steps=2 * steps, from_base=arc)
+
+
+def pressed_start(
+    body: SpaceWhisker, weight: SpaceWeight, force: Scalar, chi: Scalar, roll: Scalar, arc: Scalar, steps: int
+) -> tuple[SpaceState, SpaceLoad]:
+    """State of a whisker with a weight at its contact, and the load on it there, in the frame of the contact."""
+    assert isinstance(body.section, SpaceSection)
+    zero = jnp.zeros(())
+    start = (zero, zero, zero), contact_rotation(chi, roll)
+    own = weight.beyond(start, arc, body.length, body.section, steps=steps)
+    fx, fy, fz = own.force
+    return start, SpaceLoad((fx, fy, fz + force), own.moment)
 
 
 class Loaded(NamedTuple):
@@ -210,8 +243,13 @@ def spread(body: SpaceWhisker, surface: AbstractSurface, z: Contact, phase: Int[
     ahead = frame_of(surface, z)[:, 0]
     own: Scalar = 0.0
     if isinstance(body.section, SpaceSection):
-        _, arc = angle_and_arc(body, z, phase)
-        first, second, _ = (0.0 if part is None else part for part in body.section.intrinsic(arc))
+        chi, arc = angle_and_arc(body, z, phase)
+        if body.weight is None:
+            first, second, _ = (0.0 if part is None else part for part in body.section.intrinsic(arc))
+        else:  # the part beyond bends it, too
+            weight = body.weight.seen_in(frame_of(surface, z))
+            start, load = pressed_start(body, weight, jnp.zeros(()), chi, z[ROLL], arc, STEPS_BEYOND)
+            first, second, _ = curvature(start, load, body.section, arc)
         own = -second * jnp.cos(z[ROLL]) - first * jnp.sin(z[ROLL])  # n.d1 = -cos, n.d2 = sin: see rod/space_end.py
     curved = jnp.sum(ahead * _turned(surface.curvature(z[POINT]), ahead))
     return jnp.where(z[SLACK] > -GRAZING, own + curved, jnp.inf)

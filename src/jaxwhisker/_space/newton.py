@@ -77,9 +77,8 @@ def newton_step(problem: SpaceProblem, equations: Equations, points: Point) -> S
     z, u = points.z + jnp.where(touching, at.correction, 0.0), jnp.asarray(points.u)
     residual, system, by_u = at.pose, jax.vmap(block_diagonal)(at.pose_by), at.pose_by_u
     if problem.springs is not None:
-        load, load_by, load_by_u = (
-            jnp.where(touching if part.ndim == 3 else block, part, 0.0) for part in (at.load, at.load_by, at.load_by_u)
-        )
+        load, load_by = jnp.where(touching, at.load, problem.on_free), jnp.where(block, at.load_by, 0.0)
+        load_by_u = jnp.where(touching, at.load_by_u, 0.0)
         residual = residual - problem.springs.offset - jax.vmap(problem.displacement)(load)
         coupled = jax.vmap(block_diagonal)(load_by)
         system -= jnp.sum(problem.springs.matrix[:, :, None] * coupled[:, None], axis=2)

@@ -31,7 +31,7 @@ def residuals(
 
     base, inside, surface = of_each(problem, one, z, phase)
     touching = (phase != Phase.free)[:, None]
-    pose, load = inside.pose, jnp.where(touching, inside.load, 0.0)
+    pose, load = inside.pose, jnp.where(touching, inside.load, problem.on_free)
     rest = jnp.zeros_like(pose)
     if problem.springs is not None:
         rest = rest.at[:, :rows].set(problem.springs.offset + problem.displacement(load[:, :rows]))

@@ -19,8 +19,10 @@ class Opposite(eqx.Module):
         return -self.function(s)
 
 
-def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar) -> SpaceSection:
-    """Stiffness and curvature along a whisker, in these units of length and EI."""
+def space_section(
+    whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar, *, heavy: bool = False
+) -> SpaceSection:
+    """Stiffness and curvature along a whisker, in these units of length and EI, and its mass if it is `heavy`."""
     # A curvature in the plane is positive counter-clockwise, and d2 points along -z.
     bow, breaks = whisker.intrinsic_curvature, whisker.breaks
     second = None if bow is None else Opposite(bow) if callable(bow) else -jnp.asarray(bow)
@@ -38,4 +40,5 @@ def space_section(whisker: Whisker, length_unit: Scalar, stiffness_unit: Scalar)
         jnp.asarray(stiffness_unit, dtype=float),
         None if breaks is None else jnp.asarray(breaks),
         None if ratio is None else jnp.asarray(ratio, dtype=float),
+        whisker.mass_per_length if heavy else None,
     )

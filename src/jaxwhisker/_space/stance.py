@@ -49,7 +49,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: Phases, at: Linear, gr
         stiffness, stable = jnp.asarray(1.0), jnp.asarray(True)
     pose = jnp.zeros((phase.size, 6))
     if problem.springs is not None:
-        moved = problem.springs.offset + problem.displacement(jnp.where(free[:, None], 0.0, at.load))
+        moved = problem.springs.offset + problem.displacement(jnp.where(free[:, None], problem.on_free, at.load))
         pose = pose.at[:, : problem.rows].set(moved)
 
     def placements(u):
@@ -85,7 +85,7 @@ def bases_at_rest(problem: SpaceProblem, u: Scalar) -> Placement:
     """The placements of all bases at a control while no whisker is loaded; fields (whiskers, ...)."""
     rest = jnp.zeros((problem.length.size, 6))
     if problem.springs is not None:
-        rest = rest.at[:, : problem.rows].set(problem.springs.offset)
+        rest = rest.at[:, : problem.rows].set(problem.rest)
     drive = problem.drive(u)
     return of_each(problem, lambda body, pose: base_placement(problem, drive, body.mount, pose), rest)
 

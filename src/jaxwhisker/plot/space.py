@@ -27,11 +27,12 @@ from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker._scan.shapes import PADDING, SpaceShapes, shapes_of
-from jaxwhisker._scan.space import problem_now
+from jaxwhisker._scan.space import free_state_now, problem_now
 from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import distance
+from jaxwhisker._space.weight import total_weights
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above
 from jaxwhisker.plot.body import Body, Points, body_of
 from jaxwhisker.plot.drawing import (
@@ -57,6 +58,8 @@ COIL_TURNS = 2.25
 ANYWHERE = Sphere(1.0, (0.0, 0.0, 0.0))  # the object of scenes that are drawn without one
 LEAST_DEPTH = 0.35  # of the window around an array, as a share of its longest side
 MOST_NAMES = 9  # whiskers of an array that a legend names
+
+weights_now = Program(total_weights)
 
 
 class SpaceDrawing(NamedTuple):
@@ -89,7 +92,7 @@ def draw_scene(setup: SpaceScene, system: UnitSystem, view: Any, ax: Axes | None
     """Draw a scene in space before its scan; see `states.scene`."""
     view, problem = check_view(view, ax), problem_now(jax.tree.map(checks.as_float, setup))
     control = _start_of(problem) * float(problem.unit.control)
-    state = rest_state(setup, control)
+    state = rest_state(setup, control) if problem.weight is None else free_state_now(problem, control)
     drawn = jax.tree.map(lambda part: part[None], drawing(setup, np.asarray(control), state))
     return _draw(drawn, system, picture(view, ax), None)
 
@@ -161,6 +164,8 @@ def drawing(
     whiskers = np.stack([lines.x, lines.y, lines.z], axis=-1) / size
     contacts = contacts_of(state, size)
     push = -np.stack([state.fx, state.fy, state.fz], axis=-1)
+    if scene.gravity is not None:
+        push -= np.asarray(weights_now(*jax.tree.map(checks.as_float, (scene.whiskers, scene.gravity))))
     force = np.linalg.norm(push, axis=-1)
     most = float(np.nan_to_num(force).max()) if largest is None else largest
     arrows = arrow_length(np.nan_to_num(force), most)[..., None] * push / np.where(force > 0, force, np.nan)[..., None]
