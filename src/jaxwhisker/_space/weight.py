@@ -59,7 +59,7 @@ class SpaceWeight(NamedTuple):
             steps: of the rod from this point to the tip.
         """
         start = jax.tree.map(lambda value: jnp.asarray(value, dtype=float), start)
-        part = _Beyond(self, start, jnp.asarray(s, dtype=float), jnp.asarray(length, dtype=float), section, steps)
+        part = _Overhang(self, start, jnp.asarray(s, dtype=float), jnp.asarray(length, dtype=float), section, steps)
         return part.load(1.0, solution_of(_missed, _turn_of(jax.lax.stop_gradient(part)), part))
 
     def line(self, start: SpaceState, load: SpaceLoad, s: Along, section: SpaceSection) -> tuple[SpaceState, SpaceLoad]:
@@ -79,7 +79,7 @@ class SpaceWeight(NamedTuple):
         return jax.tree.map(lambda first, others: jnp.append(first, others), (start, load), rest)
 
 
-class _Beyond(eqx.Module):
+class _Overhang(eqx.Module):
     """A part of a whisker that nothing but the rest of the whisker holds."""
 
     weight: SpaceWeight
@@ -104,7 +104,7 @@ class _Beyond(eqx.Module):
         return jnp.stack(carried.moment_at(r))
 
 
-def _missed(turn: Float[Array, "3"], part: _Beyond) -> Float[Array, "3"]:
+def _missed(turn: Float[Array, "3"], part: _Overhang) -> Float[Array, "3"]:
     return part.missed(1.0, turn)
 
 
@@ -114,7 +114,7 @@ def newton_step(missed: Callable[[Float[Array, "3"]], Float[Array, "3"]], at: Fl
     return -solve(slopes, value[:, None])[:, 0]
 
 
-def _turn_of(part: _Beyond) -> Float[Array, "3"]:
+def _turn_of(part: _Overhang) -> Float[Array, "3"]:
     """The moment at the start of a part that hangs, without derivatives."""
 
     # As if the part were straight, with its line's weight in its middle.
