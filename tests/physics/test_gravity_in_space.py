@@ -12,6 +12,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.spatial.transform import Rotation
 
 import jaxwhisker as jw
+from jaxwhisker._inverse.space import space_sensor
 from jaxwhisker._scan.state import state_of
 from scenes import all_ok
 
@@ -270,8 +271,8 @@ def test_what_does_not_know_weights_says_so():
     ):
         with pytest.raises(ValueError, match=text):
             jw.Scene(whisker, peg(), **({"gravity": (0.0, -1.0, 0.0)} | options))
-    with pytest.raises(ValueError, match="without gravity"):
-        jw.reconstruct(scanned("clamped"), SCENES["clamped"])
+    with pytest.raises(ValueError, match="`sensor` must be a scene without gravity"):
+        space_sensor(SCENES["clamped"])
 
 
 def test_it_is_a_part_of_texts_and_files(tmp_path):

@@ -108,7 +108,7 @@ def test_lines_follow_a_whisker_to_its_tip():
     weight, section = own()
     start, s = turned((0.4, 0.1)), np.linspace(0.4, 1.0, 9)
     load = weight.beyond(start, jnp.asarray(0.4), jnp.asarray(1.0), section)
-    (x, _, _), loads = weight.line(start, load, jnp.asarray(s), section)
+    ((x, _, _), _), loads = weight.line(start, load, jnp.asarray(s), section)
     assert x.shape == s.shape and float(x[0]) == 0.2
     tip = np.array([part[-1] for part in loads.force]) * UNIT.force
     np.testing.assert_allclose(tip, 0.2 * np.array(GRAVITY), atol=INTEGRATED)
