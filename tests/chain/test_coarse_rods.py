@@ -88,3 +88,15 @@ def test_distances_from_the_nearest_object():
 def test_clamped_bases_do_not_move():
     own = problem()
     np.testing.assert_array_equal(poses_of(own, jnp.zeros(own.flexibility.root.shape[1])), own.rest)
+
+
+def test_an_inner_corner_pulls_back_a_tip_behind_it():
+    # Above the rod, the corner between two sides of a roof; the tip is behind it, next to neither of them.
+    corners = [(-0.8, 1.5), (-0.5, 0.6), (0.0, 1 - DEEP), (0.5, 0.6), (0.8, 1.5)]
+    roof = problem_now(jax.tree.map(checks.as_float, jw.Scene(jw.Whisker(), jw.Polygon(corners), contacts=2)))
+    for lean in (-LEAN, 0.0, LEAN):
+        found, _, ends = touched(roof, jnp.full(LINKS, np.pi / 2 - lean * DEEP))
+        tip, away = POINTS - 1, np.array([0.0, 1 - DEEP]) - np.asarray(ends[-1])
+        np.testing.assert_allclose(found.depth[tip], np.hypot(*away), rtol=ROUNDING)
+        np.testing.assert_allclose(found.depth[tip] * found.normal[tip], away, rtol=0, atol=ROUNDING)
+        np.testing.assert_allclose(found.curvature[tip] * found.depth[tip], -1, rtol=ROUNDING)

@@ -5,15 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxwhisker._chain.coarse_rods import ends_of_shares, links_of, poses_of
 from jaxwhisker._chain.newton import evaluate
 from jaxwhisker._chain.rod_flow import flow, landing_of, rods_of
 from jaxwhisker._chain.stance import shafts_of
-from jaxwhisker._equilibrium.contact import Phase
+from jaxwhisker._equilibrium.contact import Phase, of_each
 from several_cases import CASES
 from several_engine import of_event, problem, with_contacts
 
 PLACE = 0.02  # lengths: two links
 FORCE = 0.2  # relative to the largest force: the rods rest behind the jump, where forces have changed
+SHAPE = 2e-4  # lengths: links have the angle at their middle, and 60 of them are off by their length squared
 BEHIND = 3e-3  # distance behind a loss of stability
 
 
@@ -21,7 +23,7 @@ def rest(problem, u, z, state, behind):
     """The contacts of rods at rest, from the shape of this state."""
     load = evaluate(problem, z, u, state).load
     rods = rods_of(problem, u, shafts_of(problem, u, problem.rest, z, state), load, None)
-    end = flow(problem, u - behind, rods, jnp.asarray(True))
+    end = flow(problem, u, u - behind, rods, jnp.asarray(True))
     return end, landing_of(problem, u - behind, end)
 
 
@@ -60,8 +62,22 @@ def test_nothing_flows_unless_it_begins():
     def still(problem, u, z, state):
         load = evaluate(problem, z, u, state).load
         rods = rods_of(problem, u, shafts_of(problem, u, problem.rest, z, state), load, None)
-        return rods, flow(problem, u, rods, jnp.asarray(False))
+        return rods, flow(problem, u, u, rods, jnp.asarray(False))
 
     before, after = jax.jit(still)(problem(), u, z, state)
     np.testing.assert_array_equal(before.angle, after.angle)
     assert int(after.steps) == 0
+
+
+def test_rods_begin_with_the_shape_of_the_shaft():
+    u, z, state = with_contacts(2)
+
+    def ends(problem, u, z, state):
+        shafts = shafts_of(problem, u, problem.rest, z, state)
+        rods = rods_of(problem, u, shafts, evaluate(problem, z, u, state).load, None)
+        own = of_each(problem.bodies(u), links_of)
+        each = jax.vmap(ends_of_shares)(own, rods.angle, poses_of(problem, rods.springs))
+        return each[0, -1], jnp.stack([shafts.x[0, 0, 0], shafts.y[0, 0, 0]])
+
+    tip, expected = jax.jit(ends)(problem(), u, z, state)
+    np.testing.assert_allclose(tip, expected, rtol=0, atol=SHAPE)

@@ -122,11 +122,19 @@ def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array):
         at = nearest_face(faces, x, y)
         k = jnp.minimum(at.number, faces.x.size - 2)
         depth = jnp.where(faces.touchable[at.number], -at.distance, -1.0)
-        normal = jnp.stack([faces.sin[k], -faces.cos[k]])
-        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, normal, jnp.abs(at.distance)
+        away_x = faces.x[at.number] + at.along * faces.cos[at.number] - x
+        away_y = faces.y[at.number] + at.along * faces.sin[at.number] - y
+        # Behind an inner corner, the corner itself is nearest: it pulls the point back like a spring.
+        ends_there = (at.along <= 0) | (at.along >= faces.length[at.number])
+        behind, size = (depth > 0) & ends_there, jnp.where(depth > 0, depth, 1.0)
+        normal_x = jnp.where(behind, away_x / size, faces.sin[k])
+        normal_y = jnp.where(behind, away_y / size, -faces.cos[k])
+        curvature = jnp.where(behind, -1 / size, 0.0)
+        normal = jnp.stack([normal_x, normal_y])
+        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, normal, curvature, jnp.abs(at.distance)
 
-    depth, piece, parameter, normal, apart = jax.vmap(at_end)(*ends.T)
-    return TouchingLinks(depth, piece, parameter, normal, jnp.zeros(POINTS), *_at_points()), apart
+    depth, piece, parameter, normal, curvature, apart = jax.vmap(at_end)(*ends.T)
+    return TouchingLinks(depth, piece, parameter, normal, curvature, *_at_points()), apart
 
 
 def _at_corners(one: PolygonChain, first: Int[Array, ""], own: Links, angle: Array, ends: Array) -> TouchingLinks:

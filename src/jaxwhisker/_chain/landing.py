@@ -85,7 +85,7 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         shafts = shafts_of(problem, march.point.u, pose, march.flow.start, before.before)
         slips = slips_of(problem, march.flow.start, before.before)
         rods = rods_of(problem, march.point.u, shafts, at.load, slips)
-        landing = landing_of(problem, u, flow(problem, u, rods, begins))
+        landing = landing_of(problem, u, flow(problem, march.flow.u, u, rods, begins))
         return landing._replace(state=keeps_places(problem, before.before, landing.state))
 
     nowhere = Landing(march.point.z, march.state, jnp.asarray(False), jnp.asarray(False))

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.linear_algebra import solve_definite
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.coarse_rods import (
@@ -40,7 +41,9 @@ MOST = 48  # points that are pushed at the same time, as far as second derivativ
 STRIDE, LONGEST_STRIDE = 0.01, 0.1  # lengths by which a point may move in a step, close to objects and far from them
 FIRST_TIME, LONGEST_TIME = 1e-3, 1e4
 REST = 1e-7  # lengths by which points at rest may move in a step of the longest time
-STEPS = 600
+STEPS = 3000
+SINKS, SHIFTS = 8, 16  # steps in which rods sink into the objects, and in which the drive then moves on
+ROUNDING = 1e-13  # lengths, of stretches
 LEAST_FORCE = 1e-4  # EI/L^2, of a contact
 NEIGHBOURS = 1.6 * SHARES  # shares of links between two places that belong to one contact
 AT_TIP = 0.5  # shares from the tip within which a contact is one at the tip
@@ -54,6 +57,7 @@ class CoarseRods(NamedTuple):
     time: Scalar  # length of the next step
     steps: Int[Array, ""]
     rests: Bool[Array, ""]
+    shift: Scalar  # of the drive, as a share of that to where rods come to rest; not above 0 while they sink
     # With friction, by how much objects are stretched along themselves where rods touch them; else None.
     stretch: Float[Array, "whiskers elements"] | None = None
 
@@ -67,6 +71,15 @@ class Landing(NamedTuple):
     too_many: Bool[Array, ""]  # whether there are more contacts than there is room for
 
 
+class Pushed(NamedTuple):
+    """Where objects push a rod."""
+
+    ends: Float[Array, "*whiskers points 2"]  # of shares of links
+    touch: TouchingLinks
+    apart: Float[Array, "*whiskers points"]  # distances of the ends from the nearest object
+    stretch: Float[Array, "*whiskers elements"] | None
+
+
 def _stretch(problem: ChainProblem, touch: TouchingLinks, stretch: Array) -> Float[Array, " elements"]:
     """The stretch that friction holds."""
     assert problem.friction_angle is not None
@@ -74,17 +87,35 @@ def _stretch(problem: ChainProblem, touch: TouchingLinks, stretch: Array) -> Flo
     return jnp.clip(stretch, -most, most)
 
 
-def _system(problem: ChainProblem, own: Links, length: Scalar, angle: Array, pose: Array, stretch: Array | None):
-    """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base."""
+def _slides(held: Array, stretch: Array) -> Bool[Array, "*whiskers elements"]:
+    """Where friction gives way."""
+    return jnp.abs(stretch - held) > ROUNDING
+
+
+def _system(
+    problem: ChainProblem,
+    own: Links,
+    before: Array | None,
+    length: Scalar,
+    angle: Array,
+    pose: Array,
+    stretch: Array | None,
+):
+    """Gradient and second derivatives of a whisker's energy by the angles of its links and the pose of its base.
+
+    Ends of shares were at `before` when objects were stretched like this; then the drive has moved on.
+    """
     ends, size = ends_of_shares(own, angle, pose), own.link / SHARES
     touch, apart = touching(problem, own, length, angle, ends)
     depth = jnp.maximum(touch.depth, 0.0)
     force = (touch.stiffness * depth)[:, None] * touch.normal
     sticks = jnp.zeros_like(depth)
     if stretch is not None:
+        assert before is not None
+        stretch = jnp.where(touch.depth > 0, stretch + _slid(touch, before, ends), stretch)
         held = _stretch(problem, touch, stretch)
         force -= (touch.stiffness * held)[:, None] * tangents(touch)
-        sticks = jnp.where((held == stretch) & (depth > 0), touch.stiffness, 0.0)
+        sticks = jnp.where(~_slides(held, stretch) & (depth > 0), touch.stiffness, 0.0)
     fine = BETWEEN @ angle
     cos, sin = size * jnp.cos(fine), size * jnp.sin(fine)
     # The force on each share is that on its end and on all beyond.
@@ -112,7 +143,7 @@ def _system(problem: ChainProblem, own: Links, length: Scalar, angle: Array, pos
     tight = jnp.diag(along @ BETWEEN**2 + own.joint + next_joint) + jnp.diag(beside, 1) + jnp.diag(beside, -1)
     second = second.at[:LINKS, :LINKS].add(tight)
     second = second.at[-1, -1].add(own.joint[0]).at[0, -1].add(-own.joint[0]).at[-1, 0].add(-own.joint[0])
-    return jnp.append(by_angle, by_pose), second, ends, touch, apart
+    return jnp.append(by_angle, by_pose), second, Pushed(ends, touch, apart, stretch)
 
 
 def _slid(touch: TouchingLinks, before: Array, after: Array) -> Float[Array, " elements"]:
@@ -138,16 +169,21 @@ def rods_of(
     """
 
     def one(shaft, length):
-        beyond, cos, sin = (jnp.ravel(leaf) for leaf in (shaft.beyond, shaft.cos, shaft.sin))
+        beyond, cos, sin, bend = (jnp.ravel(leaf) for leaf in (shaft.beyond, shaft.cos, shaft.sin, shaft.curvature))
         angle = jnp.unwrap(jnp.arctan2(sin, cos))
         at = length * (1 - (np.arange(LINKS) + 0.5) / LINKS)
-        return jnp.interp(at, beyond, angle)
+        k = jnp.clip(jnp.searchsorted(beyond, at, side="right") - 1, 0, beyond.size - 2)
+        apart = beyond[k + 1] - beyond[k]
+        between = Cubic(angle[k], angle[k + 1], -apart * bend[k], -apart * bend[k + 1])
+        return between.value((at - beyond[k]) / jnp.where(apart > 0, apart, 1.0))
 
     angle = jax.vmap(one)(shafts, problem.length)
     # Angles of the links continue that of the base.
     turn = jnp.round((angle[:, :1] - np.pi / 2) / (2 * np.pi)) * 2 * np.pi
     springs = jnp.sum(problem.flexibility.root * jnp.ravel(load)[:, None], axis=0)
-    rods = CoarseRods(angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False))
+    rods = CoarseRods(
+        angle - turn, springs, jnp.asarray(FIRST_TIME), jnp.asarray(0), jnp.asarray(False), jnp.asarray(-SINKS / SHIFTS)
+    )
     if problem.friction_angle is None:
         return rods
     each, pose = of_each(problem.bodies(u), links_of), poses_of(problem, springs)
@@ -175,16 +211,23 @@ def _slipping(
     return jnp.where(jnp.isfinite(jnp.min(away, axis=1)), slip[nearest], 0).astype(float)
 
 
-def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array, ""]) -> CoarseRods:
-    """The rods at rest; nothing is computed unless the flow begins."""
-    n, root = problem.length.shape[0], problem.flexibility.root
-    each, size = of_each(problem.bodies(u), links_of), n * LINKS
-    drag = jnp.append(jnp.repeat(each.link, LINKS), jnp.ones(root.shape[1]))
+def flow(problem: ChainProblem, loss: Scalar, u: Scalar, start: CoarseRods, begins: Bool[Array, ""]) -> CoarseRods:
+    """The rods at rest at a control, to which the drive moves on from the loss of stability.
 
-    def linearised(rods: CoarseRods):
+    They sink into the objects at first, and would be pushed far away by a drive that moved at once. Nothing is computed
+    unless the flow begins.
+    """
+    n, root = problem.length.shape[0], problem.flexibility.root
+    size = n * LINKS
+    drag = jnp.append(jnp.repeat(problem.length / LINKS, LINKS), jnp.ones(root.shape[1]))
+
+    def links_at(shift: Scalar) -> Links:
+        return of_each(problem.bodies(loss + jnp.maximum(shift, 0.0) * (u - loss)), links_of)
+
+    def linearised(rods: CoarseRods, each: Links, before: Array | None):
         pose = poses_of(problem, rods.springs)
-        own = each, problem.length, rods.angle, pose, rods.stretch
-        gradient, second, ends, touch, apart = jax.vmap(lambda *own: _system(problem, *own))(*own)
+        own = each, before, problem.length, rods.angle, pose, rods.stretch
+        gradient, second, pushed = jax.vmap(lambda *own: _system(problem, *own))(*own)
         roots = jnp.reshape(root, (n, 3, -1))
         by_angle = jnp.reshape(np.eye(n)[:, None, :, None] * second[:, :LINKS, None, :LINKS], (size, size))
         mixed = jnp.reshape(jnp.sum(second[:, :LINKS, LINKS:, None] * roots[:, None], axis=2), (size, -1))
@@ -192,10 +235,15 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         by_springs = jnp.eye(root.shape[1]) + jnp.sum(roots[:, :, :, None] * pulled[:, :, None, :], axis=(0, 1))
         on_springs = rods.springs + jnp.sum(roots * gradient[:, LINKS:, None], axis=(0, 1))
         right = jnp.append(jnp.ravel(gradient[:, :LINKS]), on_springs)
-        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), ends, touch, apart
+        return right, jnp.block([[by_angle, mixed], [mixed.T, by_springs]]), pushed
 
     def step(rods: CoarseRods) -> CoarseRods:
-        right, system, ends, touch, apart = linearised(rods)
+        shift = jnp.minimum(rods.shift + 1 / SHIFTS, 1.0)
+        each = links_at(shift)
+        before = None
+        if rods.stretch is not None:
+            before = jax.vmap(ends_of_shares)(links_at(rods.shift), rods.angle, poses_of(problem, rods.springs))
+        right, system, (ends, touch, apart, stretch) = linearised(rods, each, before)
         system += jnp.diag(drag / rods.time)
         change, definite = solve_definite(system, -right)
         angle = rods.angle + jnp.reshape(change[:size], (n, LINKS))
@@ -205,23 +253,26 @@ def flow(problem: ChainProblem, u: Scalar, start: CoarseRods, begins: Bool[Array
         room = jnp.clip(apart / 2, STRIDE, LONGEST_STRIDE)
         share = jnp.max(moved / room)
         # Longer steps would also end at saddles.
-        good, stretch, time = (share < 1) & definite, rods.stretch, rods.time / 4
-        if stretch is not None:
+        good, time = (share < 1) & definite, rods.time / 4
+        if stretch is not None and rods.stretch is not None:
             held = jax.vmap(lambda touch, stretch: _stretch(problem, touch, stretch))(touch, stretch)
             slid = jax.vmap(_slid)(touch, ends, there)
             # What has turned back within the step has stuck in it: the step is repeated so.
-            turns = good & (touch.depth > 0) & (held != stretch) & (held * slid < 0)
+            touches = (touch.depth > 0) & (shift > 0)
+            turns = good & touches & _slides(held, stretch) & (held * slid < 0)
             good, time = good & ~jnp.any(turns), jnp.where(jnp.any(turns), rods.time, time)
-            stretch = jnp.where(turns, held, jnp.where(good & (touch.depth > 0), held + slid, stretch))
+            shifted = stretch - rods.stretch
+            stretch = jnp.where(turns, held - shifted, jnp.where(good & touches, held + slid, rods.stretch))
         growth = jnp.where(share < 1 / 8, 3.0, jnp.where(share < 1 / 2, 1.5, 1.0))
         longer = jnp.minimum(growth * rods.time, LONGEST_TIME)
-        rests = good & (jnp.max(moved) < REST) & (rods.time >= LONGEST_TIME / 4)
+        rests = good & (rods.shift == 1) & (jnp.max(moved) < REST) & (rods.time >= LONGEST_TIME / 4)
         return CoarseRods(
             jnp.where(good, angle, rods.angle),
             jnp.where(good, springs, rods.springs),
             jnp.where(good, longer, time),
             rods.steps + 1,
             rests,
+            jnp.where(good, shift, rods.shift),
             stretch,
         )
 
