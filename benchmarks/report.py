@@ -455,6 +455,7 @@ def sliders() -> str:
 WHOLE = (
     *("roofline", "ladder", "cold_start", "extremes", "soak", "soak_supports", "soak_friction"),
     *("soak_shafts", "soak_curved", "soak_space", "soak_objects", "space_extremes", "cold_start_space", "space_rod"),
+    *("several_contacts",),
     *("identify_guesses", "identify_noise", "reconstruct", "test_times", "test_packages"),
 )
 SELECTED = (in_short, work_precision, speed_up, space_precision, motion, motion_best, models, settings, claims)
