@@ -15,6 +15,7 @@ from jaxwhisker._chain.landing import (
     loosened,
     revised_landing,
     state_differs,
+    strays,
     to_snap,
     to_snap_from_before,
     towards_loss,
@@ -127,7 +128,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
             direction=direction,
             travel=pending.travel,
             pending=pending,
-            flow=ChainFlow(zero, z, start, jnp.asarray(-jnp.inf), zero, zero, start),
+            flow=ChainFlow(zero, z, start, jnp.asarray(-jnp.inf), zero, zero, start, jnp.zeros(problem.length.size)),
             count=zero,
             status=jnp.asarray(int(Status.ok)),
             turns=turns,
@@ -342,6 +343,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         snapped, converged, at_loss = march.target.number == SNAP, trial.converged, march.point.u == march.flow.u
         onwards, shorter, closer = towards_loss(march, trial)
         revised, wrong = revised_landing(self.problem, march, trial)
+        converged &= ~(snapped & strays(self.problem, march, trial))
         before = march.pending
         same = (
             jnp.where(state_differs(march.state, before.before), jnp.inf, 0.0)

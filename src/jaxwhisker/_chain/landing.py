@@ -6,7 +6,7 @@ for exactly, there and at the loss itself; contacts that pull, have the wrong ph
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._chain.changes import changed_contacts
 from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
@@ -29,8 +29,8 @@ from jaxwhisker._chain.newton import evaluate, of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.rod_flow import Landing, flow, landing_of, rods_of
 from jaxwhisker._chain.stance import shafts_of
-from jaxwhisker._equilibrium.contact import SLACK, Phase
-from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.point import Contacts, Point
 from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
@@ -42,6 +42,8 @@ FIRST, OF_SLIPS = 0, 1
 CLOSEST = 1e-6  # difference of controls from which contacts cannot be followed towards the loss
 SLIPS = 0.02  # along the path, from where a contact slips over an end
 MOST_SNAPS, STILL = 8, 1e-9  # at a control, and by how much this may differ
+# Difference from the forces on rods at rest, relative and in EI/L^2: less than half of the lowest buckling load.
+STRAYS, LIGHT = 0.5, 1.0
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
 
 
@@ -51,11 +53,12 @@ def to_snap(march: MarchOfChain) -> MarchOfChain:
     pending = march.node(march.point, march.tangent, **corner)
     # A contact that slips over an end begins to flow beyond it.
     z = march.point.z + jnp.where(march.slips, SLIPS, 0.0) * march.tangent.z
+    push = jnp.zeros_like(march.flow.push)
     attempt = jnp.where(march.slips, OF_SLIPS, FIRST)
     snaps = jnp.where(march.travel - march.flow.travel < STILL, march.flow.snaps + 1, 0)
     flowing = march.replace(
         task=jnp.asarray(int(Task.flow)),
-        flow=ChainFlow(attempt, z, march.point.u, march.travel, snaps, jnp.asarray(0), march.point.u),
+        flow=ChainFlow(attempt, z, march.point.u, march.travel, snaps, jnp.asarray(0), march.point.u, push),
         pending=pending,
         slips=jnp.asarray(False),
     )
@@ -94,7 +97,7 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         task=jnp.asarray(int(Task.arrive)),
         state=landing.state,
         point=Point(landing.z, u),
-        flow=march.flow._replace(landed=u),
+        flow=march.flow._replace(landed=u, push=_push(problem, landing.z, landing.state)),
         target=march.target._replace(number=jnp.asarray(SNAP), whiskers=jnp.zeros(problem.rows, bool)),
         pending=_snap(problem, before, landing.state),
     )
@@ -104,6 +107,20 @@ def after_flow(problem: ChainProblem, march: MarchOfChain) -> Outcome:
         otherwise=landed,
     )
     return select(waits, march, new), jnp.asarray(False), march.pending
+
+
+def _push(problem: ChainProblem, z: Contacts, state: ChainState) -> Float[Array, " whiskers"]:
+    force = jnp.where(state.touches, z[:, FORCE], 0.0)
+    return jnp.sum(of_whiskers(problem, force), axis=1)
+
+
+def strays(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> Bool[Array, ""]:
+    """Whether the equilibrium is not the one in which rods have come to rest: Newton's method knows unstable ones, too.
+
+    Contacts that are exchanged share the force in another way.
+    """
+    push = march.flow.push
+    return jnp.any(jnp.abs(_push(problem, trial.point.z, march.state) - push) > STRAYS * push + LIGHT)
 
 
 def _snap(problem: ChainProblem, before: Node, state: ChainState) -> Node:

@@ -49,6 +49,7 @@ class ChainFlow(NamedTuple):
     snaps: Int[Array, ""]  # so many have happened there before
     tries: Int[Array, ""]
     landed: Scalar  # the control nearest to the loss at which their contacts have been solved for
+    push: Float[Array, " whiskers"]  # forces of all contacts of a whisker where rods have come to rest
 
 
 class MarchOfChain(MarchState):
