@@ -118,22 +118,32 @@ def _at_curve(one: AbstractProfile, first: Int[Array, ""], own: Links, length: S
 def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array):
     faces = faces_of(one)
 
-    def at_end(x, y):
+    def at_end(x, y, is_tip):
         at = nearest_face(faces, x, y)
         k = jnp.minimum(at.number, faces.x.size - 2)
         depth = jnp.where(faces.touchable[at.number], -at.distance, -1.0)
         away_x = faces.x[at.number] + at.along * faces.cos[at.number] - x
         away_y = faces.y[at.number] + at.along * faces.sin[at.number] - y
         # Behind an inner corner, the corner itself is nearest: it pulls the point back like a spring.
-        ends_there = (at.along <= 0) | (at.along >= faces.length[at.number])
-        behind, size = (depth > 0) & ends_there, jnp.where(depth > 0, depth, 1.0)
+        begins, ends = at.along <= 0, at.along >= faces.length[at.number]
+        behind, size = (depth > 0) & (begins | ends), jnp.where(depth > 0, depth, 1.0)
         normal_x = jnp.where(behind, away_x / size, faces.sin[k])
         normal_y = jnp.where(behind, away_y / size, -faces.cos[k])
         curvature = jnp.where(behind, -1 / size, 0.0)
+        # Only a tip can be in a corner itself, where the parameter is the angle by which the normal turns.
+        corner = k + ends
+        slope, turn = one.slopes[corner], one.slopes[corner] - one.slopes[corner + 1]
+        turned = jnp.arctan2(
+            jnp.sin(slope) * -normal_y - jnp.cos(slope) * normal_x,
+            jnp.cos(slope) * -normal_y + jnp.sin(slope) * normal_x,
+        )
+        in_corner = behind & is_tip & (turn > 0)
+        piece = jnp.where(in_corner, 2 * corner, 2 * k + 1)
+        parameter = one.start[piece] + jnp.where(in_corner, jnp.clip(turned, 0.0, turn), at.along)
         normal = jnp.stack([normal_x, normal_y])
-        return depth, first + 2 * k + 1, one.start[2 * k + 1] + at.along, normal, curvature, jnp.abs(at.distance)
+        return depth, first + piece, parameter, normal, curvature, jnp.abs(at.distance)
 
-    depth, piece, parameter, normal, curvature, apart = jax.vmap(at_end)(*ends.T)
+    depth, piece, parameter, normal, curvature, apart = jax.vmap(at_end)(*ends.T, np.arange(1, POINTS + 1) == POINTS)
     return TouchingLinks(depth, piece, parameter, normal, curvature, *_at_points()), apart
 
 
