@@ -100,3 +100,8 @@ def test_an_inner_corner_pulls_back_a_tip_behind_it():
         np.testing.assert_allclose(found.depth[tip], np.hypot(*away), rtol=ROUNDING)
         np.testing.assert_allclose(found.depth[tip] * found.normal[tip], away, rtol=0, atol=ROUNDING)
         np.testing.assert_allclose(found.curvature[tip] * found.depth[tip], -1, rtol=ROUNDING)
+        # It is in the corner, third of five, where the object's normal is that of the force.
+        assert found.piece[tip] == 2 * 2
+        at = roof.profile.point_on(found.piece[tip], found.parameter[tip])
+        np.testing.assert_allclose(at.normal, found.normal[tip], rtol=0, atol=ROUNDING)
+        np.testing.assert_allclose([at.x, at.y], [0.0, 1 - DEEP], rtol=0, atol=ROUNDING)

@@ -11,12 +11,15 @@ from jaxwhisker._chain.landing import (
     CLOSEST,
     DEEP,
     FIRST,
+    LIGHT,
     OF_SLIPS,
     SLIPS,
+    STRAYS,
     after_flow,
     flow_again,
     revised_landing,
     state_differs,
+    strays,
     to_snap,
     towards_loss,
 )
@@ -94,6 +97,16 @@ def test_a_landing_in_the_right_contacts_is_not_revised():
     march = landed()
     _, wrong = revised(problem(), march, trial_at(march, march.point.z))
     assert not bool(wrong)
+
+
+def test_an_equilibrium_with_other_forces_than_those_on_rods_at_rest_is_not_where_they_land():
+    march = landed()
+    z = march.point.z
+    rests = march.replace(flow=march.flow._replace(push=jnp.sum(z[:, FORCE])[None]))
+    shared = z.at[:, FORCE].set(z[::-1, FORCE])
+    beyond = z.at[0, FORCE].add(STRAYS * jnp.sum(z[:, FORCE]) + 1.01 * LIGHT)
+    for there, other in ((z, False), (shared, False), (beyond, True)):
+        assert bool(strays(problem(), rests, trial_at(march, there))) == other
 
 
 def test_a_contact_that_pulls_is_taken_out():

@@ -171,6 +171,17 @@ def test_random_scenes_obey_all_laws(kind):
             assert value < SOLVED, (k, law, control)
 
 
+def test_a_tip_snaps_into_an_inner_corner():
+    one = drawn("roof, straight, clamped", np.random.default_rng((10, 12, 4)))
+    result = jw.scan(one.scene, one.control)
+    assert all_ok(result), result
+    # The forces on both faces at the tip.
+    into = [e for e in result.events if np.sum(np.asarray(e.after.phase) == laws.TIP) == 2]
+    assert len(into) == 1 and into[0].kind == jw.EventKind.snap_through
+    for law, control, _, value in checked(one, result):
+        assert value < SOLVED, (law, control)
+
+
 def test_a_cone_ends_as_not_convex_where_it_would_lie_on_the_object():
     # Its only contact, without any moment, comes to where the object becomes concave.
     one = drawn("wave, cone, FB", np.random.default_rng((10, 7, 5)))
