@@ -12,9 +12,9 @@ from jaxwhisker._chain.friction import changed_slips, come_to_rest, is_wedged, s
 from jaxwhisker._chain.landing import (
     after_flow,
     flow_again,
+    is_back,
     loosened,
     revised_landing,
-    state_differs,
     strays,
     to_snap,
     to_snap_from_before,
@@ -61,7 +61,6 @@ LONGEST_STEP = 0.1  # lengths
 BEHIND = 1e-6  # distance by which an event may lie behind the step in which it is noticed
 NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
-SAME = 1e-3  # difference of contacts that have not gone anywhere
 TRIES = 6  # of the contacts in which whiskers come to rest
 OF_ROWS = (RELEASE, PHASE, LOW, HIGH, LEAN)  # kinds of margins that belong to existing contacts
 CLEAR_STEP = 2e-4  # lengths by which free whiskers may move although they might dip into an object
@@ -343,12 +342,8 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         snapped, converged, at_loss = march.target.number == SNAP, trial.converged, march.point.u == march.flow.u
         onwards, shorter, closer = towards_loss(march, trial)
         revised, wrong = revised_landing(self.problem, march, trial)
-        converged &= ~(snapped & strays(self.problem, march, trial))
-        before = march.pending
-        same = (
-            jnp.where(state_differs(march.state, before.before), jnp.inf, 0.0)
-            + jnp.max(jnp.abs(trial.point.z - before.z_before) / scale_of(before.z_before))
-        ) < SAME
+        converged &= ~snapped | wrong | ~strays(self.problem, march, trial)
+        same = is_back(march, trial)
         stays, again = snapped & at_loss & same, march.flow.tries < TRIES
         wedged = is_wedged(self.problem, march.state, march.point.z)
         return Arrival(

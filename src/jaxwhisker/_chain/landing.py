@@ -30,7 +30,7 @@ from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.rod_flow import Landing, flow, landing_of, rods_of
 from jaxwhisker._chain.stance import shafts_of
 from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
-from jaxwhisker._equilibrium.point import Contacts, Point
+from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
@@ -44,6 +44,7 @@ SLIPS = 0.02  # along the path, from where a contact slips over an end
 MOST_SNAPS, STILL = 8, 1e-9  # at a control, and by how much this may differ
 # Difference from the forces on rods at rest, relative and in EI/L^2: less than half of the lowest buckling load.
 STRAYS, LIGHT = 0.5, 1.0
+SAME = 1e-3  # difference of contacts that have not gone anywhere
 DEEP = 1e-7  # lengths: depth of a shaft where whiskers have come to rest in the wrong contacts
 
 
@@ -210,6 +211,13 @@ def towards_loss(march: MarchOfChain, trial: TrialOfChain) -> tuple[MarchOfChain
     onwards = march.replace(point=trial.point._replace(u=loss), flow=march.flow._replace(landed=trial.point.u))
     shorter = march.replace(point=march.point._replace(u=(march.point.u + landed) / 2))
     return onwards, shorter, jnp.abs(march.point.u - landed) > CLOSEST
+
+
+def is_back(march: MarchOfChain, trial: TrialOfChain) -> Bool[Array, ""]:
+    """Whether whiskers that have snapped are where they were before."""
+    before = march.pending
+    moved = jnp.max(jnp.abs(trial.point.z - before.z_before) / scale_of(before.z_before))
+    return ~state_differs(march.state, before.before) & (moved < SAME)
 
 
 def state_differs(one: ChainState, other: ChainState) -> Bool[Array, ""]:
