@@ -66,4 +66,4 @@ def test_no_plane_is_known_before_an_object_that_is_not_convex():
 
 def test_convex_must_be_true_or_false():
     with pytest.raises(ValueError, match="`convex` must be True or False, got 1"):
-        Surface(wave, (0.0, 2.0, 0.0), convex=1)  # pyright: ignore[reportArgumentType]
+        Surface(wave, (0.0, 2.0, 0.0), convex=1)

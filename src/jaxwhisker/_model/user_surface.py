@@ -49,7 +49,7 @@ class Surface(AbstractSurface):
     convex: bool = eqx.field(static=True)
     _unit: Scalar  # of points; `function` stays in the user's unit
 
-    def __init__(self, function: Callable, inside: Vector, *, convex: bool = True):
+    def __init__(self, function: Callable, inside: Vector, *, convex: Any = True):
         point: Any = checks.as_tuple(inside)
         checks.function("function", function, shape=(3,))
         checks.triple("inside", point)
