@@ -125,13 +125,13 @@ def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array):
         away_x = faces.x[at.number] + at.along * faces.cos[at.number] - x
         away_y = faces.y[at.number] + at.along * faces.sin[at.number] - y
         # Behind an inner corner, the corner itself is nearest: it pulls the point back like a spring.
-        begins, ends = at.along <= 0, at.along >= faces.length[at.number]
-        behind, size = (depth > 0) & (begins | ends), jnp.where(depth > 0, depth, 1.0)
+        first_corner, second_corner = at.along <= 0, at.along >= faces.length[at.number]
+        behind, size = (depth > 0) & (first_corner | second_corner), jnp.where(depth > 0, depth, 1.0)
         normal_x = jnp.where(behind, away_x / size, faces.sin[k])
         normal_y = jnp.where(behind, away_y / size, -faces.cos[k])
         curvature = jnp.where(behind, -1 / size, 0.0)
         # Only a tip can be in a corner itself, where the parameter is the angle by which the normal turns.
-        corner = k + ends
+        corner = k + second_corner
         slope, turn = one.slopes[corner], one.slopes[corner] - one.slopes[corner + 1]
         turned = jnp.arctan2(
             jnp.sin(slope) * -normal_y - jnp.cos(slope) * normal_x,
@@ -143,7 +143,8 @@ def _at_faces(one: PolygonChain, first: Int[Array, ""], ends: Array):
         normal = jnp.stack([normal_x, normal_y])
         return depth, first + piece, parameter, normal, curvature, jnp.abs(at.distance)
 
-    depth, piece, parameter, normal, curvature, apart = jax.vmap(at_end)(*ends.T, np.arange(1, POINTS + 1) == POINTS)
+    (x, y), is_tip = ends.T, np.arange(1, POINTS + 1) == POINTS
+    depth, piece, parameter, normal, curvature, apart = jax.vmap(at_end)(x, y, is_tip)
     return TouchingLinks(depth, piece, parameter, normal, curvature, *_at_points()), apart
 
 
