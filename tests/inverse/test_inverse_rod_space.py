@@ -67,7 +67,12 @@ def test_states_satisfy_the_laws_of_rods_and_springs(tip, y):
         work = (turn / SOFT) @ (ends[0] - ends[1]) / 2e-6
         assert moment @ spin == pytest.approx(work, abs=1e-8)
     plain = Plain(
-        None, lambda u: (np.zeros(3), np.eye(3), UPRIGHT), 1.0, Cone(0.5), RATIO, lambda s: np.array([0.3, 0.4, 0.0])
+        None,
+        lambda u: (np.zeros(3), np.eye(3), UPRIGHT),
+        1.0,
+        Cone(0.5),
+        RATIO,
+        curvature=lambda s: np.array([0.3, 0.4, 0.0]),
     )
     at = State(0.0, 1 if tip else 2, -force, -moment, np.zeros(3), base, y[0], arc, contact)
     bent = shaft(plain, at)
