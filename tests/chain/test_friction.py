@@ -4,16 +4,18 @@
 # pyright: reportCallIssue=false
 from functools import cache
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 import jaxwhisker as jw
 from jaxwhisker._base import checks
 from jaxwhisker._chain.changes import changed_contacts
-from jaxwhisker._chain.contacts import ChainState, chain_of, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, chain_of, held_of, lean_of, parameter_of, slack_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.friction import (
     LIGHT,
@@ -60,9 +62,18 @@ def contacts(phase=(2, 2), piece=(0, 0), side=(1.0, 1.0), slip=(1, -1), places=(
 Z = jnp.array([[1.3, 0.25, 0.2], [0.7, -0.4, 0.6]])  # force, parameter, slack
 
 
+class ContactNumbers(NamedTuple):
+    """Where contacts are."""
+
+    parameter: Array
+    slack: Array
+    lean: Array
+
+
 def at(z, state):
-    own = problem()
-    return numbers_of(own.profile, own.friction_angle, z, state)
+    profile = problem().profile
+    lean = lean_of(profile, problem().friction_angle, z, state)
+    return ContactNumbers(parameter_of(profile, z, state), slack_of(profile, z, state), jnp.asarray(lean))
 
 
 def test_slipping_contacts_lean_against_their_slip():
@@ -139,10 +150,10 @@ def test_the_margin_of_a_lean_is_what_is_left_of_the_cone():
 
 def test_changed_slips_keep_the_place_and_the_lean():
     own, state = problem(), contacts()
-    z, stuck = with_slips(own, Z, state, jnp.array([0, -1]))
+    z, stuck = with_slips(own, Z, Z[:, 1], state, jnp.array([0, -1]))
     np.testing.assert_allclose(at(z, stuck).parameter, Z[:, 1], rtol=EXACT)
     np.testing.assert_allclose(at(z, stuck).lean, at(Z, state).lean, rtol=EXACT)
-    again, slipping = with_slips(own, z, stuck, jnp.array([1, -1]))
+    again, slipping = with_slips(own, z, at(z, stuck).parameter, stuck, jnp.array([1, -1]))
     np.testing.assert_allclose(again, Z, rtol=EXACT)
     assert slipping.friction.slip.tolist() == [1, -1]
 
@@ -200,9 +211,9 @@ def test_a_tip_that_enters_an_inner_corner_keeps_its_direction_and_its_force(sid
     z = Z.at[0, 1:].set(jnp.array([end[0], -0.4])).at[1].set(0.0)
     march = ContinuationOfChain(own).start(jnp.zeros(1), Limits(*[jnp.zeros(())] * 3)).replace(state=state)
     target = march.target._replace(number=jnp.asarray(HIGH), whiskers=jnp.array([True, False]), limit=end)
-    after, inside, _ = changed_contacts(
-        own, march.replace(target=target), SimpleNamespace(state=state, point=Point(z, jnp.zeros(())))
-    )
+    stance = march.stance._replace(parameter=z[:, 1])
+    trial = SimpleNamespace(state=state, point=Point(z, jnp.zeros(())), stance=stance)
+    after, inside, _ = changed_contacts(own, march.replace(target=target), trial)
     assert inside.piece[0] == corner and inside.friction.slip[0] == 0
 
     def of(z, state):

@@ -18,7 +18,7 @@ from jaxwhisker._chain.margins import (
     piece_ends,
     z_before,
 )
-from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.march_state import Task
 from several_engine import STOP, candidates, march_at, problem, trial_at, with_contacts
@@ -104,10 +104,14 @@ def test_a_contact_that_begins_is_not_there_on_arrival():
     target = march.target._replace(number=jnp.asarray(TOUCH), first=new)
     begins = march.replace(task=jnp.asarray(int(Task.event)), target=target)
     assert bool(begins_at(begins))
-    np.testing.assert_array_equal(z_before(problem(), begins, trial_at(begins, z, state)), march.point.z)
+    trial = trial_at(begins, z, state)
+    trial = trial._replace(stance=trial.stance._replace(parameter=z[:, PARAMETER]))
+    before, parameter = z_before(problem(), begins, trial)
+    np.testing.assert_array_equal(before, march.point.z)
+    np.testing.assert_array_equal(parameter, march.point.z[:, PARAMETER])
     other = begins.replace(target=target._replace(number=jnp.asarray(RELEASE)))
     assert not bool(begins_at(other))
-    np.testing.assert_array_equal(z_before(problem(), other, trial_at(other, z, state)), z)
+    np.testing.assert_array_equal(z_before(problem(), other, trial_at(other, z, state))[0], z)
 
 
 def test_the_first_event_within_a_step():

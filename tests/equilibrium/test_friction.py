@@ -42,6 +42,8 @@ def test_on_a_parabola_a_contact_rolls_by_an_arc_length_and_back_again():
     np.testing.assert_allclose(length_of(1.7, np.asarray(stop)), length_of(1.7, STARTS) + DISTANCES, rtol=1e-11)
     np.testing.assert_allclose(rolled(profile, stop, -distance), start, atol=ROLLED)
     assert stop[-1] == start[-1]  # no distance, exactly
+    least = rolled(profile, start, jnp.full_like(start, 1e-17))  # less than rounding
+    np.testing.assert_allclose(least, start, atol=1e-15)
 
 
 def test_derivatives_of_rolling_agree_with_closed_forms_in_both_modes():

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int
 
-from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, slack_of
 from jaxwhisker._chain.march_state import (
     AT_STOP,
     HIGH,
@@ -63,7 +63,7 @@ def changed_contacts(
     )
     if state.friction is not None:
         happens = rows & (changes | passes | (number == LEAN))
-        changed = _with_friction(problem, happens, way, z, state, changed, target.limit)
+        changed = _with_friction(problem, happens, way, trial, changed, target.limit)
     kinds = jnp.asarray([int(KINDS[k]) for k in range(len(KINDS))])
     kind = jnp.where((number == PHASE) & ~jnp.any(tip & rows), int(EventKind.tangential_to_tip), kinds[number])
     return *select(number == RELEASE, gone, changed), kind
@@ -73,8 +73,7 @@ def _with_friction(
     problem: ChainProblem,
     rows: Bool[Array, " rows"],
     way: Int[Array, ""],
-    z: Contacts,
-    before: ChainState,
+    trial: TrialOfChain,
     after: tuple[Contacts, ChainState],
     limit: PerRow,
 ) -> tuple[Contacts, ChainState]:
@@ -84,23 +83,24 @@ def _with_friction(
         problem: the problem.
         rows: one-hot: the contact.
         way: -1 where it passes the beginning of its piece, +1 at its end, 0 otherwise.
-        z: the contacts at the event.
-        before: their state before it.
+        trial: the contacts at the event, in their state before it.
         after: numbers and state behind it, without friction.
         limit: the lean or parameter at which it happens.
     """
+    z, before, profile = trial.point.z, trial.state, problem.profile
     friction, most = before.friction, problem.friction_angle
     assert friction is not None and most is not None
-    numbers, (z_after, state) = numbers_of(problem.profile, most, z, before), after
-    then, now = held_of(problem.profile, before), held_of(problem.profile, state)
+    slack, lean = slack_of(profile, z, before), jnp.asarray(lean_of(profile, most, z, before))
+    (z_after, state), then = after, held_of(profile, before)
+    now = held_of(profile, state)
     enters, leaves = rows & now.pinned & ~then.pinned, rows & then.pinned & ~now.pinned
     passes = rows & (state.piece != before.piece)
     # In an inner corner, the force may lean further than normal to both faces.
-    parameter = jnp.where(passes & then.rolls, limit, numbers.parameter)
+    parameter = jnp.where(passes & then.rolls, limit, trial.stance.parameter)
     further = jnp.where(enters, way * most, jnp.where(leaves, -way * most, 0.0))
     parameter += further
     # The tangent turns with the parameter there, the whisker does not.
-    slack = jnp.where(state.phase != before.phase, 0.0, numbers.slack - state.side * further)
+    slack = jnp.where(state.phase != before.phase, 0.0, slack - state.side * further)
     slip = jnp.where(enters, 0, jnp.where(leaves, way, friction.slip))
     slip = jnp.where(rows & then.sticks & (way == 0) & (state.phase == before.phase), jnp.sign(limit).astype(int), slip)
     beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
@@ -108,8 +108,7 @@ def _with_friction(
     moves = rows & then.sticks & ((state.piece != before.piece) | (state.side != before.side))
     places = jnp.where(moves, parameter, friction.parameter), jnp.where(moves, beyond, friction.beyond)
     state = state._replace(friction=Friction(slip, *places))
-    now = held_of(problem.profile, state)
-    lean = jnp.asarray(numbers.lean)
+    now = held_of(profile, state)
     changed = jnp.stack(
         [z_after[:, FORCE], jnp.where(now.rolls, lean, parameter), jnp.where(now.at_corner, lean, slack)], axis=1
     )

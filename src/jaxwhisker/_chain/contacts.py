@@ -82,6 +82,7 @@ class ChainState(NamedTuple):
 class Segments(NamedTuple):
     """A whisker from its contacts on; fields (contacts, ...)."""
 
+    parameter: PerContact  # of the object, at the contact
     contact: ContactPoint
     beyond: PerContact  # arc length of the whisker beyond the contact; all of it for places that are not used
     start: RodState
@@ -113,27 +114,20 @@ class HeldByFriction(NamedTuple):
 def held_of(profile: Objects, state: ChainState) -> HeldByFriction:
     """How contacts are held, with friction."""
     assert state.friction is not None
+    if not profile.has_edges:
+        none = jnp.zeros_like(state.touches)
+        return HeldByFriction(state.touches & (state.friction.slip == 0), none, none)
     signs = corner_signs(profile)[jnp.where(state.touches, state.piece, 0)]
     pinned = (state.phase == Phase.tip) & (signs < 0)
     sticks = state.touches & (state.friction.slip == 0) & ~pinned
     return HeldByFriction(sticks, sticks & (signs > 0), pinned)
 
 
-class ContactNumbers(NamedTuple):
-    """Where contacts are: parameter of the object, slack of the whisker, and the lean of the force."""
-
-    parameter: Float[Array, " contacts"]
-    slack: Float[Array, " contacts"]
-    lean: Float[Array, " contacts"] | None  # None without friction
-
-
-def numbers_of(
-    profile: Objects, friction_angle: Scalar | None, z: Float[Array, "contacts 3"], state: ChainState
-) -> ContactNumbers:
-    """Where contacts are, of one whisker or of all."""
+def parameter_of(profile: Objects, z: Float[Array, "contacts 3"], state: ChainState) -> Float[Array, " contacts"]:
+    """Parameter of the object at contacts, of one whisker or of all."""
     parameter, slack, friction = z[:, PARAMETER], z[:, SLACK], state.friction
-    if friction is None or friction_angle is None:
-        return ContactNumbers(parameter, slack, None)
+    if friction is None:
+        return parameter
     held, placeholders = held_of(profile, state), profile.placeholder_parameter
     assert placeholders is not None
     # Corners have no length: contacts that do not roll take a smooth piece instead.
@@ -143,12 +137,25 @@ def numbers_of(
     beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
     way = jnp.where(held.rolls, state.side * (friction.beyond - beyond), 0.0)
     rolling = jax.vmap(lambda piece, start, way: rolled(profile.on(piece), start, way))(piece, start, way)
-    slipping = jnp.where(held.pinned, 0.0, friction.slip * friction_angle)
-    return ContactNumbers(
-        jnp.where(held.rolls, rolling, parameter),
-        jnp.where(held.at_corner, friction.beyond, slack),
-        jnp.where(held.at_corner, slack, jnp.where(held.rolls, parameter, slipping)),
-    )
+    return jnp.where(held.rolls, rolling, parameter)
+
+
+def slack_of(profile: Objects, z: Float[Array, "contacts 3"], state: ChainState) -> Float[Array, " contacts"]:
+    """Slack of the whisker at contacts, of one whisker or of all."""
+    if state.friction is None:
+        return z[:, SLACK]
+    return jnp.where(held_of(profile, state).at_corner, state.friction.beyond, z[:, SLACK])
+
+
+def lean_of(
+    profile: Objects, friction_angle: Scalar | None, z: Float[Array, "contacts 3"], state: ChainState
+) -> Float[Array, " contacts"] | None:
+    """Lean of the forces of contacts, of one whisker or of all; None without friction."""
+    if state.friction is None or friction_angle is None:
+        return None
+    held = held_of(profile, state)
+    slipping = jnp.where(held.pinned, 0.0, state.friction.slip * friction_angle)
+    return jnp.where(held.at_corner, z[:, SLACK], jnp.where(held.rolls, z[:, PARAMETER], slipping))
 
 
 def objects_of_body(body: WhiskerAtObject) -> Objects:
@@ -159,23 +166,23 @@ def objects_of_body(body: WhiskerAtObject) -> Objects:
 
 def chain_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState) -> Segments:
     """The segments of a whisker with these contacts, and the loads on them."""
-    touches, placeholder = state.touches, objects_of_body(body).placeholder_parameter
-    assert placeholder is not None
+    touches, profile = state.touches, objects_of_body(body)
+    assert profile.placeholder_parameter is not None
     piece = jnp.where(touches, state.piece, 0)
-    numbers = numbers_of(objects_of_body(body), body.friction_angle, z, state)
-    parameter = jnp.where(touches, numbers.parameter, placeholder[0])
+    parameter = jnp.where(touches, parameter_of(profile, z, state), profile.placeholder_parameter[0])
+    slack, lean = slack_of(profile, z, state), lean_of(profile, body.friction_angle, z, state)
     at = jax.vmap(body.profile.point_on)(piece, parameter)
     tip = state.phase == Phase.tip
-    angle = jnp.where(tip, -numbers.slack, 0.0)
-    beyond = jnp.where(touches, jnp.where(tip, 0.0, numbers.slack), body.length)
+    angle = jnp.where(tip, -slack, 0.0)
+    beyond = jnp.where(touches, jnp.where(tip, 0.0, slack), body.length)
     cos, sin = state.side * jnp.cos(angle), jnp.sin(angle)
     direction = at.cos * cos - at.sin * sin, at.sin * cos + at.cos * sin
     force = jnp.where(touches, z[:, FORCE], 0.0)
-    across_cos, across_sin = across_force(at, numbers.lean)
+    across_cos, across_sin = across_force(at, lean)
     fx, fy = force * across_sin, -force * across_cos
     load = Load(jnp.cumsum(fx), jnp.cumsum(fy), jnp.cumsum(at.x * fy - at.y * fx))
     arc = jnp.append(beyond[1:], body.length) - beyond
-    return Segments(at, beyond, (at.x, at.y, *direction), load, arc)
+    return Segments(parameter, at, beyond, (at.x, at.y, *direction), load, arc)
 
 
 def step_count(body: WhiskerAtObject) -> int:

@@ -112,7 +112,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         new = NewContact(zero, jnp.zeros(3), zero, one, zero)
         count = sum(3 if one.has_edges else 2 for one in problem.profile.objects)
         unknown = jnp.zeros((problem.length.size, count)), jnp.zeros(problem.length.size)
-        stance = ChainStance(*unknown, jnp.asarray(True), jnp.asarray(True), one)
+        stance = ChainStance(*unknown, jnp.asarray(True), jnp.asarray(True), one, jnp.zeros(problem.rows))
         return MarchOfChain(
             task=jnp.asarray(int(Task.arrive)),
             state=state,
@@ -243,7 +243,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
     def found(self, march: MarchOfChain, trial: TrialOfChain) -> TargetPoint:
         target, scale = march.target, scale_of(march.point.z)
         begins = begins_at(march)
-        z = z_before(self.problem, march, trial)
+        z, _ = z_before(self.problem, march, trial)
         chord = Point(z - march.point.z, trial.point.u - march.point.u)
         distance, reach = dot(march.tangent, chord, scale), jnp.sqrt(dot(chord, chord, scale))
         rates = margin_rates(self.problem, march, self._direction(march, trial))
@@ -299,7 +299,7 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         node = march.node(trial.point, self._direction(march, trial))
         return jnp.asarray(False), node._replace(
             point=Point(z_after, trial.point.u),
-            z_before=z_before(self.problem, march, trial),
+            z_before=z_before(self.problem, march, trial)[0],
             state=after,
             kind=kind,
             **({} if after.friction is None else {"corner": march.target.number != AT_STOP}),

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, parameter_of, slack_of
 from jaxwhisker._chain.march_state import AT_STOP, MarchOfChain, PerRow, TrialOfChain
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
@@ -37,7 +37,7 @@ Rows = Bool[Array, " rows"]
 
 def slip_by_contact(problem: ChainProblem, z: Contacts, state: ChainState) -> Contacts:
     """Derivatives of the distances slipped along the object's tangent, by the numbers of contacts that slip."""
-    parameter = numbers_of(problem.profile, problem.friction_angle, z, state).parameter
+    slips = state.touches if state.friction is None else state.touches & (state.friction.slip != 0)
     piece = jnp.where(state.touches, state.piece, 0)
     placeholders = problem.profile.placeholder_parameter
     assert placeholders is not None
@@ -46,7 +46,7 @@ def slip_by_contact(problem: ChainProblem, z: Contacts, state: ChainState) -> Co
         at, rate = jax.jvp(lambda p: problem.profile.point_on(piece, p), (p,), (jnp.ones_like(p),))
         return rate.x * at.cos + rate.y * at.sin
 
-    speeds = jax.vmap(speed)(piece, jnp.where(state.touches, parameter, placeholders[0]))
+    speeds = jax.vmap(speed)(piece, jnp.where(slips, z[:, PARAMETER], placeholders[0]))
     beyond = jnp.where(state.phase == Phase.tangential, state.side, 0.0)
     return jnp.stack([jnp.zeros_like(speeds), speeds, beyond], axis=1)
 
@@ -123,26 +123,22 @@ def by_friction(problem: ChainProblem, march: MarchOfChain, of_lean: Array, ends
 
 
 def with_slips(
-    problem: ChainProblem, z: Contacts, state: ChainState, slip: Int[Array, " rows"]
+    problem: ChainProblem, z: Contacts, parameter: PerRow, state: ChainState, slip: Int[Array, " rows"]
 ) -> tuple[Contacts, ChainState]:
-    """The same contacts, which from here on slip in these directions or stick (0)."""
-    old, limit = state.friction, problem.friction_angle
+    """The same contacts, at these parameters, which from here on slip in these directions or stick (0)."""
+    old, limit, profile = state.friction, problem.friction_angle, problem.profile
     assert old is not None and limit is not None
-    numbers = numbers_of(problem.profile, limit, z, state)
+    slack, lean = slack_of(profile, z, state), jnp.asarray(lean_of(profile, limit, z, state))
     begins = state.touches & (slip == 0) & (old.slip != 0)
-    beyond = jnp.where(state.phase == Phase.tangential, numbers.slack, 0.0)
-    friction = Friction(
-        slip, jnp.where(begins, numbers.parameter, old.parameter), jnp.where(begins, beyond, old.beyond)
-    )
+    beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
+    friction = Friction(slip, jnp.where(begins, parameter, old.parameter), jnp.where(begins, beyond, old.beyond))
     state = state._replace(friction=friction)
-    held, light = held_of(problem.profile, state), begins & (z[:, FORCE] <= LIGHT)
+    held, light = held_of(profile, state), begins & (z[:, FORCE] <= LIGHT)
     # A first guess: the force that begins to bend a straight whisker acts across it.
-    lean = jnp.clip(jnp.asarray(numbers.lean), -limit, limit)
-    lean = jnp.where(light, state.side * jnp.minimum(numbers.slack, 0.0), lean)
+    lean = jnp.where(light, state.side * jnp.minimum(slack, 0.0), jnp.clip(lean, -limit, limit))
     force = jnp.where(light, LIGHT, z[:, FORCE])
-    parameter = jnp.where(held.rolls, lean, numbers.parameter)
-    slack = jnp.where(held.at_corner, lean, numbers.slack)
-    return jnp.stack([force, parameter, slack], axis=1), state
+    own = jnp.where(held.rolls, lean, parameter), jnp.where(held.at_corner, lean, slack)
+    return jnp.stack([force, *own], axis=1), state
 
 
 def changed_slips(
@@ -153,7 +149,7 @@ def changed_slips(
     assert state.friction is not None and limit is not None
     onwards = slip_rates(problem, state, point.z, tangent.z, -jnp.inf)
     slip, force = state.friction.slip, point.z[:, FORCE]
-    held, leans = held_of(problem.profile, state), numbers_of(problem.profile, limit, point.z, state).lean
+    held, leans = held_of(problem.profile, state), lean_of(problem.profile, limit, point.z, state)
     assert leans is not None
     # A contact that has just begun may slip either way or, if neither presses on, stick.
     unloaded = (slip != 0) & (force <= LIGHT)
@@ -177,7 +173,7 @@ def with_changed_slips(
 
     Args:
         problem: the problem.
-        march: the state of the march, at the node.
+        march: the state of the march, at the node, with its stance.
         node: the node, with the slips before.
         slip: the new slips.
         arriving: direction of the path before.
@@ -185,7 +181,7 @@ def with_changed_slips(
     """
     before, earlier = march.state.friction, march.pending.before.friction
     assert before is not None
-    z, state = with_slips(problem, node.point.z, march.state, slip)
+    z, state = with_slips(problem, node.point.z, march.stance.parameter, march.state, slip)
     held, changes, sticking = held_of(problem.profile, state), slip != before.slip, slip == 0
     light = is_light(problem, state, z)
     of_lean = jnp.where(held.at_corner, SLACK, PARAMETER)[:, None] == jnp.arange(3)
@@ -254,8 +250,7 @@ def slips_of(problem: ChainProblem, z: Contacts, state: ChainState) -> tuple[Arr
     if state.friction is None:
         return None
     number = problem.profile.object_of(jnp.where(state.touches, state.piece, 0))
-    slack = numbers_of(problem.profile, problem.friction_angle, z, state).slack
-    beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
+    beyond = jnp.where(state.phase == Phase.tangential, slack_of(problem.profile, z, state), 0.0)
     return jnp.where(state.touches, jnp.asarray(number), -1), state.friction.slip, beyond
 
 
@@ -271,7 +266,7 @@ def landed(problem: ChainProblem, z: Contacts, state: ChainState, lean: PerRow) 
     slipping = state._replace(friction=begun._replace(slip=jnp.where(lean < 0, -1, 1)))
     sticks = state.touches & (jnp.abs(lean) < NEARLY_SLIPS * limit)
     assert slipping.friction is not None
-    z, stuck = with_slips(problem, z, slipping, jnp.where(sticks, 0, slipping.friction.slip))
+    z, stuck = with_slips(problem, z, z[:, PARAMETER], slipping, jnp.where(sticks, 0, slipping.friction.slip))
     held = held_of(problem.profile, stuck)
     z = z.at[:, PARAMETER].set(jnp.where(held.rolls, lean, z[:, PARAMETER]))
     return z.at[:, SLACK].set(jnp.where(held.at_corner, lean, z[:, SLACK])), stuck
@@ -302,5 +297,6 @@ def come_to_rest(
     node = march.node(at, march.tangent)
     # Without any friction, slips that come to rest turn back at once.
     slip = jnp.where(sticks, jnp.where(limit > 0, 0, -friction.slip), friction.slip)
-    march = march.replace(point=at, travel=node.travel)
+    stance = march.stance._replace(parameter=parameter_of(problem.profile, at.z, march.state))
+    march = march.replace(point=at, travel=node.travel, stance=stance)
     return jnp.any(sticks), with_changed_slips(problem, march, node, slip, march.tangent, rest=True)

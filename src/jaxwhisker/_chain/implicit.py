@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.linear_algebra import inverse
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, Places, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, Places, held_of, parameter_of, slack_of
 from jaxwhisker._chain.friction import slip_by_contact
 from jaxwhisker._chain.march_state import removed
 from jaxwhisker._chain.newton import residuals
@@ -155,8 +155,9 @@ def after_event(
 
 def _places(problem: ChainProblem, side: ChainSide) -> Places:
     """Where contacts are on the object and on the whisker."""
-    at = numbers_of(problem.profile, problem.friction_angle, side.z, side.state)
-    return at.parameter, jnp.where(side.state.phase == Phase.tangential, at.slack, 0.0)
+    z, state = side.z, side.state
+    slack = slack_of(problem.profile, z, state)
+    return parameter_of(problem.profile, z, state), jnp.where(state.phase == Phase.tangential, slack, 0.0)
 
 
 def _moved(leaf: Array, rows: Array, begins: Array, ends: Array, contacts: int) -> Array:
@@ -203,7 +204,7 @@ def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array
     # At a fold the control is stationary along the path, and a shift along the path does not change its derivatives.
     weight = jnp.where(folds, node.arriving.z, weight)
     low, high = jax.lax.stop_gradient(problem.profile.ends_on(jnp.where(state.touches, state.piece, 0)))
-    parameter = jax.lax.stop_gradient(numbers_of(problem.profile, problem.friction_angle, z, state).parameter)
+    parameter = jax.lax.stop_gradient(parameter_of(problem.profile, z, state))
     at_end = jnp.abs(parameter - high) < jnp.abs(parameter - low)
     on_edge = jnp.stack([rows & edge & ~folds & ~at_end, rows & edge & ~folds & at_end]).astype(float)
     at = KnownOfChain(problem, u, state)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._chain.changes import changed_contacts
-from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, parameter_of
 from jaxwhisker._chain.friction import keeps_places, slips_of, with_slips
 from jaxwhisker._chain.march_state import (
     HIGH,
@@ -152,8 +152,9 @@ def revised_landing(
     leans = jnp.zeros_like(pulls)
     if state.friction is not None:
         leans = margins[LEAN] < -MARGIN_NOISE
-        lean = jnp.asarray(numbers_of(problem.profile, problem.friction_angle, z, state).lean)
-        slipping = with_slips(problem, z, state, jnp.where(leans, jnp.sign(lean).astype(int), state.friction.slip))
+        lean = jnp.asarray(lean_of(problem.profile, problem.friction_angle, z, state))
+        slip = jnp.where(leans, jnp.sign(lean).astype(int), state.friction.slip)
+        slipping = with_slips(problem, z, trial.stance.parameter, state, slip)
         places = state.friction._replace(beyond=jnp.where(other, 0.0, state.friction.beyond))
         turned = turned[0], turned[1]._replace(friction=places)
         turned = select(jnp.any(other), turned, slipping)
@@ -180,10 +181,10 @@ def loosened(problem: ChainProblem, march: MarchOfChain) -> MarchOfChain:
     state, z = march.state, march.point.z
     if state.friction is None:
         return march
-    lean = jnp.asarray(numbers_of(problem.profile, problem.friction_angle, z, state).lean)
+    lean = jnp.asarray(lean_of(problem.profile, problem.friction_angle, z, state))
     most = jnp.argmax(jnp.where(held_of(problem.profile, state).sticks, jnp.abs(lean), -1.0))
     slip = state.friction.slip.at[most].set(jnp.where(lean[most] < 0, -1, 1))
-    z, state = with_slips(problem, z, state, slip)
+    z, state = with_slips(problem, z, parameter_of(problem.profile, z, state), state, slip)
     flow_ = march.flow._replace(tries=march.flow.tries + 1)
     pending = _snap(problem, march.pending, state)
     return march.replace(point=march.point._replace(z=z), state=state, flow=flow_, pending=pending)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, slack_of
 from jaxwhisker._chain.friction import lean_margin, most_lean
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.march_state import (
@@ -18,13 +18,14 @@ from jaxwhisker._chain.march_state import (
     ChainStance,
     MarchOfChain,
     NewContact,
+    PerRow,
     TrialOfChain,
-    removed,
 )
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.rows import without_row
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
-from jaxwhisker._equilibrium.point import Point
+from jaxwhisker._equilibrium.point import Contacts, Point
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.margins import FAR, Ignored, Margins, first_crossed
 
@@ -36,17 +37,17 @@ def margins_of(
     problem: ChainProblem, march: MarchOfChain, z: Array, u: Scalar, stance: ChainStance, stop: Scalar
 ) -> Margins:
     """Margins of all kinds of events."""
-    state, numbers = march.state, numbers_of(problem.profile, problem.friction_angle, z, march.state)
+    state, profile = march.state, problem.profile
     free, tip = state.phase == Phase.free, state.phase == Phase.tip
     outermost = jnp.arange(z.shape[0]) % problem.contacts == 0
     touch = stance.gap + TOUCHING
     release = jnp.where(free, FAR, z[:, FORCE])
-    slack = numbers.slack
+    slack = slack_of(profile, z, state)
     changes = jnp.where(tip, jnp.minimum(-slack, slack + np.pi), slack)
     changes = jnp.where(outermost & ~free & ~may_turn(problem, state), changes, FAR)
-    (low, high), p = piece_ends(problem, march), numbers.parameter
+    (low, high), p = piece_ends(problem, march), stance.parameter
     below, above = jnp.where(free, FAR, p - low), jnp.where(free, FAR, high - p)
-    lean = lean_margin(problem, march.state, z, numbers.lean)
+    lean = lean_margin(problem, state, z, lean_of(profile, problem.friction_angle, z, state))
     return touch, release, changes, below, above, lean, jnp.reshape(march.direction * (stop - u), 1)
 
 
@@ -92,8 +93,9 @@ def first_violated(
 ):
     """Whether an event lies within a step of this length, and the first such event."""
     here = margins_of(problem, march, march.point.z, march.point.u, march.stance, trial.stop)
-    z = z_before(problem, march, trial)
-    there = margins_of(problem, march, z, trial.point.u, trial.stance, trial.stop)
+    z, parameter = z_before(problem, march, trial)
+    stance = trial.stance._replace(parameter=parameter)
+    there = margins_of(problem, march, z, trial.point.u, stance, trial.stop)
     if ignored is not None and problem.profile.has_edges:
         # A shaft that turns about a corner touches the next side where the corner becomes that side. This touch is none
         # of its own. It is a double root, from which Newton's method ends as far away as its last step is long.
@@ -107,7 +109,7 @@ def first_violated(
     low, high = piece_ends(problem, march)
     limit = jnp.where(crossed.number == LOW, low, jnp.where(crossed.number == HIGH, high, limit))
     if problem.friction_angle is not None:
-        lean = numbers_of(problem.profile, problem.friction_angle, z, march.state).lean
+        lean = lean_of(problem.profile, problem.friction_angle, z, march.state)
         limit = jnp.where(crossed.number == LEAN, jnp.sign(jnp.asarray(lean)) * most_lean(problem, z), limit)
     return crossed.some, Target(crossed.number, rows, crossed.share * distance, new, limit)
 
@@ -119,7 +121,7 @@ def new_contact(
     count = candidates.gap.shape[1]
     own = jax.tree.map(lambda leaf: jnp.reshape(leaf, (-1, *leaf.shape[2:]))[entry], candidates)
     whisker = entry // count
-    slack = numbers_of(problem.profile, problem.friction_angle, z, march.state).slack
+    slack = slack_of(problem.profile, z, march.state)
     phase, slack = (values[whisker] for values in of_whiskers(problem, (march.state.phase, slack)))
     beyond = jnp.where(phase == Phase.tip, 0.0, slack)
     new = jnp.where(own.phase == Phase.tip, 0.0, own.numbers[SLACK])
@@ -141,7 +143,8 @@ def begins_at(march: MarchOfChain) -> Bool[Array, ""]:
     return (march.task == Task.event) & (march.target.number == TOUCH)
 
 
-def z_before(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> Array:
-    """Contacts on arrival at the end of a step: without one that begins there."""
+def z_before(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> tuple[Contacts, PerRow]:
+    """Contacts on arrival at the end of a step, without one that begins there, and their parameters."""
     rows = (jnp.arange(problem.rows) == march.target.first.row) & begins_at(march)
-    return removed(trial.point.z, trial.state, rows, problem.contacts)[0]
+    z, parameter = trial.point.z, trial.stance.parameter
+    return without_row((z, parameter), rows, (jnp.zeros_like(z), jnp.zeros_like(parameter)), problem.contacts)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, chain_of, fractions, segments, step_count
+from jaxwhisker._chain.contacts import ChainState, Segments, chain_of, fractions, segments, step_count
 from jaxwhisker._equilibrium.contact import WhiskerAtObject, material_of
 from jaxwhisker._rod.rod import Load, RodStates, Section, graded, moment
 
@@ -45,9 +45,9 @@ class Pieces(NamedTuple):
     from_base: Float[Array, " segments"]  # arc length at the start
 
 
-def pieces_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, base: BaseAt) -> Pieces:
+def pieces_of(body: WhiskerAtObject, chain: Segments, state: ChainState, base: BaseAt) -> Pieces:
     """All segments of a whisker with these contacts; a free one is integrated from its base on."""
-    chain, free, zero = chain_of(body, z, state), ~state.touches[0], jnp.zeros(1)
+    free, zero = ~state.touches[0], jnp.zeros(1)
     from_base = jnp.where(free, 0.0, body.length - chain.beyond[0])
     # Places that are not used are at the base.
 
@@ -64,9 +64,9 @@ def pieces_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: Chain
     return Pieces(start, load, arc, jnp.append(from_base, body.length - chain.beyond))
 
 
-def shaft_of(body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, base: BaseAt) -> WholeShaft:
+def shaft_of(body: WhiskerAtObject, chain: Segments, state: ChainState, base: BaseAt) -> WholeShaft:
     """The shaft of a whisker with these contacts."""
-    starts, loads, arcs, from_base = pieces_of(body, z, state, base)
+    starts, loads, arcs, from_base = pieces_of(body, chain, state, base)
     x, y, cos, sin = segments(body, starts, loads, arcs, from_base)
     beyond = body.length - (from_base[:, None] - _times(body, arcs, from_base) * arcs[:, None])
     bent = jnp.asarray(jax.vmap(moment)(x, y, loads))
@@ -86,7 +86,7 @@ def point_at(
     body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, base: BaseAt, beyond: Scalar
 ) -> Float[Array, "2"]:
     """The position of the point that has this arc length of the whisker beyond it."""
-    pieces = pieces_of(body, z, state, base)
+    pieces = pieces_of(body, chain_of(body, z, state), state, base)
     before = state.touches & (body.length - pieces.from_base[1:] <= beyond)
     own = jax.tree.map(lambda leaf: leaf[jnp.sum(before)][None], pieces)
     arc = own.from_base - (body.length - beyond)

@@ -2,10 +2,10 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, chain_of, numbers_of, objects_of_body
+from jaxwhisker._chain.contacts import ChainState, Segments, chain_of, objects_of_body
 from jaxwhisker._chain.gaps import Candidate, Gaps, gaps_of
 from jaxwhisker._chain.march_state import ChainStance
 from jaxwhisker._chain.newton import of_whiskers
@@ -26,7 +26,11 @@ def bases_of(problem: ChainProblem, u: Scalar, pose: BasePoses) -> BaseAt:
 def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> WholeShaft:
     """The shafts of all whiskers; fields (whiskers, ...)."""
     own = of_whiskers(problem, (z, state))
-    return of_each(problem.bodies(u), shaft_of, *own, bases_of(problem, u, pose))
+
+    def one(body: WhiskerAtObject, z, state, base) -> WholeShaft:
+        return shaft_of(body, chain_of(body, z, state), state, base)
+
+    return of_each(problem.bodies(u), one, *own, bases_of(problem, u, pose))
 
 
 def stance_of(
@@ -35,11 +39,12 @@ def stance_of(
     """The stance at a point of the path, and the contacts that may begin."""
     bodies = problem.bodies(u)
 
-    def one(body: WhiskerAtObject, z, state, base) -> tuple[Gaps, Bool[Array, ""]]:
-        shaft = shaft_of(body, z, state, base)
-        return gaps_of(objects_of_body(body), shaft, body.length), opens(body, z, state, shaft)
+    def one(body: WhiskerAtObject, z, state, base) -> tuple[Gaps, Bool[Array, ""], Array]:
+        chain = chain_of(body, z, state)
+        shaft = shaft_of(body, chain, state, base)
+        return gaps_of(objects_of_body(body), shaft, body.length), opens(body, chain, state, shaft), chain.parameter
 
-    gaps, open_ = of_each(bodies, one, *of_whiskers(problem, (z, state)), bases_of(problem, u, pose))
+    gaps, open_, parameter = of_each(bodies, one, *of_whiskers(problem, (z, state)), bases_of(problem, u, pose))
 
     def places(u):
         at = problem.in_scene(u, problem.rest)
@@ -49,26 +54,19 @@ def stance_of(
     rates = jax.jvp(places, (u,), (jnp.ones_like(u),))[1]
     speed = jnp.sqrt(jnp.max(jnp.maximum(rates[0] ** 2 + rates[1] ** 2, rates[2] ** 2 + rates[3] ** 2)))
     outside = jnp.all(gaps.base > 0)
-    return ChainStance(gaps.candidates.gap, gaps.distance, outside, jnp.all(open_), speed), gaps.candidates
+    gap, parameter = gaps.candidates.gap, jnp.ravel(parameter)
+    return ChainStance(gap, gaps.distance, outside, jnp.all(open_), speed, parameter), gaps.candidates
 
 
-def opens(
-    body: WhiskerAtObject, z: Float[Array, "contacts 3"], state: ChainState, shaft: WholeShaft
-) -> Bool[Array, ""]:
+def opens(body: WhiskerAtObject, chain: Segments, state: ChainState, shaft: WholeShaft) -> Bool[Array, ""]:
     """Whether object and shaft part on both sides of every contact on the shaft."""
-    chain = chain_of(body, z, state)
-    at = chain.contact
-    piece = jnp.where(state.touches, state.piece, 0)
-    placeholder = objects_of_body(body).placeholder_parameter
-    assert placeholder is not None
-    parameter = numbers_of(objects_of_body(body), body.friction_angle, z, state).parameter
-    parameter = jnp.where(state.touches, parameter, placeholder[0])
+    at, piece = chain.contact, jnp.where(state.touches, state.piece, 0)
 
     def bend(piece, p):
         rate = jax.jvp(lambda p: body.profile.point_on(piece, p), (p,), (jnp.ones_like(p),))[1]
         return rate
 
-    rate = jax.vmap(bend)(piece, parameter)
+    rate = jax.vmap(bend)(piece, chain.parameter)
     speed, turn = rate.x * at.cos + rate.y * at.sin, rate.sin * at.cos - rate.cos * at.sin
     # Towards the object, the normal of the whisker's direction is on its left if it runs along the object's tangent.
     kappa = shaft.curvature[1:, 0] * state.side

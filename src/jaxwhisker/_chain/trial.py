@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import numbers_of
+from jaxwhisker._chain.contacts import slack_of
 from jaxwhisker._chain.friction import RATE_NOISE, by_friction, is_light, slip_rates
 from jaxwhisker._chain.march_state import HIGH, LEAN, LOW, PHASE, RELEASE, TOUCH, MarchOfChain, TrialOfChain, inserted
 from jaxwhisker._chain.newton import ChainSolution, of_whiskers, solve_points
@@ -84,9 +84,10 @@ def gap_grows(problem: ChainProblem, march: MarchOfChain, solution: ChainSolutio
     """Whether the contact that has just been released opens as the drive moves on."""
     node, row = march.pending, jnp.argmax(march.target.whiskers)
     whisker = row // problem.contacts
-    numbers = numbers_of(problem.profile, problem.friction_angle, node.z_before, node.before)
-    slack = jnp.where(node.before.phase[row] == Phase.tip, 0.0, numbers.slack[row])
-    at = problem.profile.point_on(node.before.piece[row], numbers.parameter[row])
+    profile, before = problem.profile, node.before
+    slack = jnp.where(before.phase[row] == Phase.tip, 0.0, slack_of(profile, node.z_before, before)[row])
+    # The stance is still that of the event.
+    at = profile.point_on(before.piece[row], march.stance.parameter[row])
     newton = solution.newton
 
     def position(z, u, pose):

@@ -13,7 +13,6 @@ then takes the place of the profile's parameter among the unknowns of the contac
 
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -52,33 +51,48 @@ def newly_slipping(
 CELLS = 16  # of the quadrature of the arc length's derivatives by the object's numbers
 _AT, _WEIGHTS = gauss(3)
 POINTS, WEIGHTS = ((np.arange(CELLS)[:, None] + _AT) / CELLS).ravel(), np.tile(_WEIGHTS / CELLS, CELLS)
-FIRST_SHARE = 1 / 8  # of the distance, in which a rolling contact is followed at first
-ROLLED = 1e-13  # error of the parameter in one step, for which a step is halved: a sharp end of the object may be near
-SHORTEST_SHARE = 1e-9  # of the distance; if no longer step is accurate, the object is not smooth
+_COARSE, _FINE = gauss(8), gauss(12)  # rules for the arc length of a stretch, which agree where they are exact
+PLACES = np.concatenate([_COARSE[0], _FINE[0], [1.0]])
+ARC = np.concatenate([np.zeros(8), _FINE[1], [0.0]])
+DIFFERENCE = np.concatenate([_COARSE[1], -_FINE[1], [0.0]])
+SAME = 1e-9  # relative difference of both rules; the error of the finer one is about its power 3/2
+NEAR = 1e-8  # of the arc length and the parameter: a step of Newton's method that is the last one
+ROUNDING = 1e-15  # of arc lengths
+ITERATIONS = 8  # of Newton's method, after which a shorter stretch is tried: a sharp end of the object may be near
+SHORTEST_SHARE = 1e-9  # of the distance; if no longer stretch has been followed, the object is not smooth
 
 
 @eqx.filter_custom_jvp
 def rolled(profile: AbstractProfile, start: Scalar, distance: Scalar) -> Float[Array, ""]:
     """The parameter at an arc length from another parameter. A distance of zero costs nothing, also in a batch."""
-    solver, no = diffrax.Dopri8(scan_kind="lax"), jnp.asarray(False)
-    term = diffrax.ODETerm(lambda t, parameter, args: distance / profile.speed(parameter))
-    start = jnp.asarray(start, dtype=float)
 
-    def step(carry):
-        at, share, parameter = carry
-        end = jnp.minimum(at + share, 1.0)
-        memory = solver.init(term, at, end, parameter, None)
-        there, error, _, _, _ = solver.step(term, at, end, parameter, None, memory, no)
-        good = jnp.abs(error) < ROLLED
-        share = jnp.where(good, 2 * share, share / 2)
-        return jnp.where(good, end, at), share, jnp.where(good, there, parameter)
+    def iteration(carry):
+        at, share, begin, end, count = carry
+        there = jnp.minimum(at + share, 1.0)
+        speeds = jax.vmap(profile.speed)(begin + PLACES * (end - begin))
+        arc = (there - at) * distance
+        missing = arc - (end - begin) * jnp.sum(ARC * speeds)
+        error = (end - begin) * jnp.sum(DIFFERENCE * speeds)
+        correction = missing / speeds[-1]
+        solved = (jnp.abs(missing) < NEAR * jnp.abs(arc) + ROUNDING) & (jnp.abs(correction) < NEAR)
+        good = solved & (jnp.abs(error) < SAME * jnp.abs(arc) + ROUNDING)
+        fails = ~good & (solved | ~jnp.isfinite(correction) | (count == ITERATIONS))
+        end = jnp.where(fails, begin, end + correction)
+        return (
+            jnp.where(good, there, at),
+            jnp.where(good, 2 * share, jnp.where(fails, share / 2, share)),
+            jnp.where(good, end, begin),
+            end,
+            jnp.where(good | fails, 0, count + 1),
+        )
 
     def goes_on(carry):
-        at, share, _ = carry
+        at, share, *_ = carry
         return (at < 1) & (share > SHORTEST_SHARE)
 
-    at = jnp.where(distance == 0, 1.0, 0.0)
-    at, _, stop = jax.lax.while_loop(goes_on, step, (at, jnp.asarray(FIRST_SHARE), start))
+    at, start = jnp.where(distance == 0, 1.0, 0.0), jnp.asarray(start, dtype=float)
+    begins = at, jnp.asarray(1.0), start, start, jnp.asarray(0)
+    at, _, stop, _, _ = jax.lax.while_loop(goes_on, iteration, begins)
     return jnp.where(at < 1, jnp.nan, stop)
 
 

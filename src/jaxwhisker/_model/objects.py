@@ -69,15 +69,22 @@ class Objects(AbstractProfile):
         return self._own(lambda one, piece, parameter: one.convex_on(piece, parameter), piece, parameter)
 
     def _own(self, function, piece: Int[Array, ""] | None, parameter: Scalar):
-        """A function of the object, the piece of this object, and its parameter, at a contact."""
-        number, values = self.object_of(piece), []
+        """A function of the object, the piece of this object, and its parameter, at a contact.
+
+        Objects that differ in numbers only are one object whose numbers are chosen, which compiles faster.
+        """
+        number, firsts, values = self.object_of(piece), self.first_pieces(), []
         assert piece is not None and number is not None and self.placeholder_parameter is not None
-        for k, (one, first, placeholder) in enumerate(
-            zip(self.each, self.first_pieces(), self.placeholder_parameter, strict=True)
-        ):
-            own = jnp.clip(piece - first, 0, _pieces(one) - 1) if one.has_pieces else None
-            values.append(function(one, own, jnp.where(number == k, parameter, placeholder)))
-        return numbered(number, values)
+        kinds = [own for own, _ in of_one_kind(self.each)]
+        for own in kinds:
+            index = jnp.asarray([own.index(k) if k in own else 0 for k in range(len(firsts))])[number]
+            mine = [(self.each[k], firsts[k], self.placeholder_parameter[k]) for k in own]
+            one, first, placeholder = mine[0] if len(own) == 1 else numbered(index, mine)
+            among = jnp.clip(piece - first, 0, _pieces(one) - 1) if one.has_pieces else None
+            is_one = jnp.asarray(np.isin(np.arange(len(firsts)), own))[number]
+            values.append(function(one, among, jnp.where(is_one, parameter, placeholder)))
+        kind = jnp.asarray([[k in own for own in kinds].index(True) for k in range(len(firsts))])[number]
+        return numbered(kind, values)
 
     def vertex(self):
         x, y = (jnp.stack([jnp.asarray(v, dtype=float) for v in vs]) for vs in zip(*self._vertices(), strict=True))
@@ -150,7 +157,8 @@ def numbered(number: Int[Array, ""], values: list[Any]) -> Any:
     """The one with this number of the trees `values`."""
     chosen = values[0]
     for k, value in enumerate(values[1:], 1):
-        chosen = jax.tree.map(lambda a, b, k=k: jnp.where(number == k, b, a), chosen, value)
+        is_it = number == k
+        chosen = jax.tree.map(lambda a, b, is_it=is_it: jnp.where(is_it, b, a), chosen, value)
     return chosen
 
 

@@ -14,14 +14,14 @@ from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free
-from jaxwhisker._chain.contacts import ChainState, Places, held_of, numbers_of
+from jaxwhisker._chain.contacts import ChainState, Places, held_of, lean_of, slack_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.implicit import after_event, sides_of_events, solved
 from jaxwhisker._chain.margins import may_turn
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
-from jaxwhisker._equilibrium.contact import FORCE, Phase
+from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, Phase
 from jaxwhisker._equilibrium.point import Contacts, at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
@@ -182,9 +182,8 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
     touches, touching = each.touches, jnp.any(each.touches, axis=1)
     pose = problem.rest + problem.displacement(at.load)
     here, chain, base = problem.in_scene(u, pose), at.chain, at.base
-    numbers, force = numbers_of(problem.profile, problem.friction_angle, z, state), z[:, FORCE]
-    own = of_whiskers(problem, z)
-    slack = jnp.where(may_turn(problem, state), 0.0, numbers.slack)
+    force, own = z[:, FORCE], of_whiskers(problem, z)
+    slack = jnp.where(may_turn(problem, state), 0.0, slack_of(problem.profile, z, state))
     wrong = jnp.where(state.touches, beyond_phase(state.phase, force, slack), 0.0)
 
     def if_touching(values: Array) -> Array:
@@ -202,15 +201,15 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
         number=number + 1,
     )
     contact = jax.tree.map(lambda leaf: jnp.where(touches, leaf, jnp.zeros_like(leaf)), contact)
-    friction = {}
-    if state.friction is None or numbers.lean is None or problem.friction_angle is None:
+    friction, lean = {}, lean_of(problem.profile, problem.friction_angle, z, state)
+    if state.friction is None or lean is None or problem.friction_angle is None:
         contact = _apart(problem, each, contact)
     else:
         # The force of a tip in an inner corner leans from the nearest normal there. It stays one contact.
-        pinned, p = held_of(problem.profile, state).pinned, numbers.parameter
+        pinned, p = held_of(problem.profile, state).pinned, z[:, PARAMETER]
         beyond = jnp.where(pinned, p - jnp.clip(p, *problem.profile.ends_on(jnp.where(pinned, state.piece, 0))), 0.0)
         contact = contact._replace(slope=contact.slope + of_whiskers(problem, beyond))
-        lean = numbers.lean + beyond
+        lean = lean + beyond
         parts = state.friction.slip, force * jnp.cos(lean) * unit.force, -force * jnp.sin(lean) * unit.force
         parts = jax.tree.map(lambda leaf: jnp.where(state.touches, leaf, 0), parts)
         friction = dict(zip(FRICTION, of_whiskers(problem, parts), strict=True))
