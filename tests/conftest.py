@@ -68,8 +68,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 # Tests that compile for the longest time for features that other tests cover as well; `make test` leaves them out.
 LONG = Path(__file__).with_name("long.txt")
 LAST_START = float(os.environ.get("JAXWHISKER_LONG_UNTIL", "inf"))  # seconds since 1970
-DAY = 86_400  # seconds
-STRIDE = 37  # long tests; about a quarter of them
+HOUR = 3600  # seconds
+STRIDE = 37  # long tests, of about 730
 
 
 class _Missing(pytest.Item):
@@ -91,8 +91,8 @@ def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config
     for name in sorted(names - {item.nodeid for item in long}):
         items.append(_Missing.from_parent(session, name=name))
         items[-1].add_marker(pytest.mark.long)
-    if float("inf") > LAST_START:  # begin with others every day, so that those left out are not always the same
-        first = items.index(long[int(LAST_START / DAY) * STRIDE % len(long)])
+    if float("inf") > LAST_START:  # begin with others every hour, so that those left out are not always the same
+        first = items.index(long[int(LAST_START / HOUR) * STRIDE % len(long)])
         items[:] = items[first:] + items[:first]
 
 

@@ -58,7 +58,7 @@ from jaxwhisker._path.path import NO_EVENT, Node, Status, select
 from jaxwhisker._path.transitions import AT_BASE, FIRST_STEP, LOSS_BRACKET, SHORTER
 
 LONGEST_STEP = 0.1  # lengths
-BEHIND = 1e-6  # distance by which an event may lie behind the step in which it is noticed
+BEHIND = 1e-6  # by which an event may lie behind the step before it, and a new contact beyond an end of its piece
 NODES = 400  # for every whisker on every leg of the drive, and as many more
 ITERATIONS = 60000  # a march that needs more ends as `too_long`
 TRIES = 6  # of the contacts in which whiskers come to rest
@@ -265,6 +265,9 @@ class ContinuationOfChain(Continuation[MarchOfChain, TrialOfChain]):
         good &= ~begins | jnp.where(
             tip, new < MARGIN_NOISE, (new > -MARGIN_NOISE) & (new < self._length(target.first.row))
         )
+        low, high = self.problem.profile.ends_on(target.first.piece)
+        place = trial.stance.parameter[target.first.row]
+        good &= ~begins | ((place > low - BEHIND) & (place < high + BEHIND))
         ignored = [
             jnp.zeros_like(trial.stance.gap, bool),
             *((target.number == kind) & target.whiskers[: rates[kind].size] for kind in OF_ROWS),

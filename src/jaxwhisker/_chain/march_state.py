@@ -37,7 +37,7 @@ class ChainStance(NamedTuple):
     outside: Bool[Array, ""]  # whether no base is inside an object
     opens: Bool[Array, ""]  # whether object and shaft part on both sides of every contact
     speed: Scalar  # largest speed of any point of a whisker whose base does not yield, per control
-    parameter: PerRow  # of the object, at each contact
+    parameter: PerRow  # of the object, at each contact; 0 for places that are not used
 
 
 class ChainFlow(NamedTuple):

@@ -54,7 +54,7 @@ def stance_of(
     rates = jax.jvp(places, (u,), (jnp.ones_like(u),))[1]
     speed = jnp.sqrt(jnp.max(jnp.maximum(rates[0] ** 2 + rates[1] ** 2, rates[2] ** 2 + rates[3] ** 2)))
     outside = jnp.all(gaps.base > 0)
-    gap, parameter = gaps.candidates.gap, jnp.ravel(parameter)
+    gap, parameter = gaps.candidates.gap, jnp.where(state.touches, jnp.ravel(parameter), 0.0)
     return ChainStance(gap, gaps.distance, outside, jnp.all(open_), speed, parameter), gaps.candidates
 
 

@@ -69,7 +69,7 @@ def rolled(profile: AbstractProfile, start: Scalar, distance: Scalar) -> Float[A
     def iteration(carry):
         at, share, begin, end, count = carry
         there = jnp.minimum(at + share, 1.0)
-        speeds = jax.vmap(profile.speed)(begin + PLACES * (end - begin))
+        speeds = jnp.asarray(jax.vmap(profile.speed)(begin + PLACES * (end - begin)))
         arc = (there - at) * distance
         missing = arc - (end - begin) * jnp.sum(ARC * speeds)
         error = (end - begin) * jnp.sum(DIFFERENCE * speeds)

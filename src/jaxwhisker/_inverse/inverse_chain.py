@@ -170,7 +170,8 @@ def _pushes(observed: ChainObservation, y: Float[Array, " n"], own: Hypothesis) 
 def _depth(observed: ChainObservation, y: Float[Array, " n"], own: Hypothesis, base: Pose) -> Scalar:
     """How deep the shaft is inside the known objects."""
     body, z = observed.at(y)
-    shaft = shaft_of(body, z, own.state, BaseAt(base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle)))
+    at = BaseAt(base.x, base.y, -jnp.sin(base.angle), jnp.cos(base.angle))
+    shaft = shaft_of(body, chain_of(body, z, own.state), own.state, at)
     known = objects_of_body(observed.body).objects
     depths = [depth_in(one, base.x, base.y, 1.5 * body.length, shaft.x, shaft.y) for one in known]
     return jnp.max(jnp.stack(depths))
