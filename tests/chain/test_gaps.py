@@ -61,5 +61,5 @@ def test_the_nearest_point_of_short_waves():
 def test_points_far_below_waves_are_outside():
     # Between the points from which the search starts, the waves' normal turns so far that Newton's method goes astray.
     one = jw.Graph(Wave(0.327, -0.11, 0.208, 0.688))
-    away, _ = jax.vmap(lambda x: off(one, x, 0.0))(jnp.linspace(-1.4, 1.4, 561))
+    away, _ = jax.vmap(lambda x: off(one, x, jnp.zeros(())))(jnp.linspace(-1.4, 1.4, 561))
     assert float(jnp.min(away)) > 0

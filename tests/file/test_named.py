@@ -52,7 +52,7 @@ def test_parts_have_the_name_of_their_constructor(name):
         jw.Support(),
         jw.Support.simony(),
         jw.Support((jw.Spring((0, 1), compliance=0.1),)),
-        jw.Support((jw.Spring((0, 1), 5.0),), jw.Mount(0.1)),
+        pytest.param(jw.Support((jw.Spring((0, 1), 5.0),), jw.Mount(0.1)), marks=pytest.mark.unchecked),
         jw.Support((jw.Spring((0, 1), lambda e: 5.0 * e, at=0.1),)),
         jw.Support((jw.Spring((0, 1), 5.0, 0.1, axis="y"),)),
         jw.Circle(0.3, 0.5),

@@ -1,6 +1,6 @@
 """Contact state: how each whisker touches the object, or that it is free. It selects one system of equations."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -45,7 +45,7 @@ class ContactState(NamedTuple):
         return self.friction.slip
 
     @property
-    def places(self) -> Places | None:
+    def places(self) -> Any:  # Places | None, or only their shapes
         """Where contacts began to stick; None without friction."""
         return None if self.friction is None else self.friction[1:]
 

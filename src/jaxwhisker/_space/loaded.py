@@ -136,7 +136,7 @@ def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, ste
     # There is no way to the first place, which is a load or the tip, and never one of the points.
     rotations = [jnp.append(first, rest) for first, rest in zip(start[1], found.passed[1], strict=True)]
     own = order.ranks[0][loaded]
-    given = jax.vmap(lambda load, q: load.acting(q, factor))(rods.loads, [part[own] for part in rotations])
+    given = jax.vmap(lambda load, q: load.acting(q, factor))(rods.loads, tuple(part[own] for part in rotations))
     own = order.ranks[0][points] - 1
     states, loads = jax.tree.map(lambda leaf: leaf[own], (found.passed, found.loads))
     return WalkInSpace(at[points], states, loads, lengths, given, found.end, found.load)
