@@ -109,7 +109,9 @@ def _poses(base: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers 3"
     return jnp.stack(poses, axis=-1)
 
 
-def _slips(sensor: Sensor | Scene, slip: Any, control: Any, shape: tuple[int, int]) -> Float[Array, "steps whiskers"] | None:
+def _slips(
+    sensor: Sensor | Scene, slip: Any, control: Any, shape: tuple[int, int]
+) -> Float[Array, "steps whiskers"] | None:
     """Directions of slip; None without friction."""
     if slip is not None and sensor.friction is None:
         raise ValueError("`slip` must be given for a sensor with friction only, got one for a sensor without friction.")
