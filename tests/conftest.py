@@ -69,7 +69,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 LONG = Path(__file__).with_name("long.txt")
 LAST_START = float(os.environ.get("JAXWHISKER_LONG_UNTIL", "inf"))  # seconds since 1970
 HOUR = 3600  # seconds
-STRIDE = 37  # long tests, of about 730
+STRIDE = 37  # long tests, of about 800
 
 
 class _Missing(pytest.Item):
