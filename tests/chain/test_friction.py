@@ -18,7 +18,6 @@ from jaxwhisker._chain.changes import changed_contacts
 from jaxwhisker._chain.contacts import ChainState, chain_of, held_of, lean_of, parameter_of, slack_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.friction import (
-    LIGHT,
     NEAR,
     is_light,
     is_wedged,
@@ -34,7 +33,7 @@ from jaxwhisker._chain.march_state import HIGH
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._equilibrium.contact import of_each
-from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._equilibrium.friction import LIGHT, Friction
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.continuation import Limits
 from jaxwhisker._scan.chain import problem_now

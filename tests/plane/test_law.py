@@ -11,8 +11,7 @@ from engine import begun_march, dimensionless
 from exact_contacts import scene
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.newton import LIGHT
+from jaxwhisker._equilibrium.friction import LIGHT, Friction
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import Status
@@ -65,7 +64,7 @@ def test_friction_is_a_law_of_its_own(smooth, rough):
 
 def test_contacts_without_friction_remember_nothing(smooth):
     law, march = smooth
-    assert march.tries is march.rests is march.stuck_at is None
+    assert march.slips_tried is march.rests is march.stuck_at is None
     assert march.pending.stop is march.pending.corner is None
     assert march.unstable_turns.shape == (1,)
     # Only the drive must not turn back.

@@ -15,7 +15,7 @@ from jaxwhisker._equilibrium.friction import Friction
 from jaxwhisker._equilibrium.newton import LIGHT
 from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._plane import snap_flow
-from jaxwhisker._plane.slips import _first_leans, changed_slips, disagreement, goes_astray, partly, repeated
+from jaxwhisker._plane.slips import changed_slips, disagreement, goes_astray, partly, repeated
 from jaxwhisker._plane.snap_flow import ITERATIONS
 
 ROUNDING = 1e-12
@@ -159,7 +159,7 @@ def march_of(begun, slip, force, leans, *, tries=0, rests=(False, False)):
     return begun.replace(
         state=ContactState(jnp.array([int(Phase.tip)] * 2), jnp.ones(2), friction),
         point=Point(z, jnp.asarray(0.0)),
-        tries=jnp.asarray(tries),
+        slips_tried=jnp.asarray(tries),
         rests=jnp.array(rests),
     )
 
@@ -192,22 +192,3 @@ def test_a_contact_that_has_just_begun_slips_the_other_way_before_it_sticks(roug
     # One that slips as it should, but on a path that falls, is no solution either.
     assert changed(rough, begun, (-1, -1), (-0.3, -0.3), force=light, falls=True) == (True, [1, -1])
     assert changed(rough, begun, (-1, -1), (-0.3, -0.3), falls=True) == (False, [-1, -1])
-
-
-def test_the_first_lean_combines_paths_with_both_slips(rough, begun):
-    # Along the present path, which slips towards -x, and along that tried before, towards +x: forces and rates of slip.
-    force, other_force, rate, other_rate = 0.8, 0.5, 0.2, -0.3
-    tangent, other = (
-        Point(jnp.zeros((2, 3)).at[:, 0].set(f).at[:, 1].set(r / 0.5), jnp.asarray(-1.0))
-        for f, r in ((force, rate), (other_force, other_rate))
-    )
-    march = march_of(begun, (-1, 1), (0.0, 0.0), (0.0, 0.0))
-    known, leans = _first_leans(rough, march.replace(pending=march.pending._replace(arriving=other)), tangent)
-    # Of both forces, of which each leans by the limit, in the proportion in which the contact does not slip.
-    share = -rate / other_rate
-    for k, slip in enumerate((-1, 1)):
-        across = slip * np.sin(LIMIT) * (force - share * other_force)
-        along = np.cos(LIMIT) * (force + share * other_force)
-        assert known[k]
-        np.testing.assert_allclose(leans[k], np.arctan2(across, along), rtol=ROUNDING)
-    assert np.all(np.abs(leans) < LIMIT)

@@ -9,6 +9,12 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+from jaxwhisker._base import checks
+from jaxwhisker._base.program import Program
+from jaxwhisker._chain.contacts import ChainState
+from jaxwhisker._chain.polygons import corner_signs
+from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._scan.chain import problem_now, signals
 from scenes import all_ok
 from several_cases import CASES, changed, contacts_of, number_at, scanned, scene_of
 
@@ -82,6 +88,23 @@ def test_a_tip_in_an_inner_corner_is_two_contacts():
     sums = np.sum(force * np.sin(slope), axis=1), np.sum(-force * np.cos(slope), axis=1)
     reactions = np.asarray(result.fx)[at, 0], np.asarray(result.fy)[at, 0]
     np.testing.assert_allclose(sums, np.negative(reactions), atol=SIGNAL * np.max(force))
+
+
+def test_a_tip_in_an_inner_corner_does_not_slip():
+    roof = jw.Polygon([(-0.5, 0.9), (-0.4, 0.4), (0.0, 0.6), (0.4, 0.4), (0.5, 0.9)])
+    scene = jw.Scene(jw.Whisker(), roof, contacts=2, friction=0.4)
+    problem = problem_now(jax.tree.map(checks.as_float, scene))
+    inner = 4
+    assert float(corner_signs(problem.profile)[inner]) < 0
+    low, high = problem.profile.ends_on(jnp.array([inner]))
+    z = jnp.array([[2.0, (low[0] + high[0]) / 2, -0.3], [0.0, 0.0, 0.0]])
+    slipping = Friction(jnp.array([-1, 1]), jnp.zeros(2), jnp.zeros(2))
+    state = ChainState(jnp.array([1, 0]), jnp.ones(2), jnp.array([inner, 0]), slipping)
+    values, _, _ = Program(signals)(problem, z, jnp.asarray(0.0), state)
+    # It slipped to the corner, which pushes back with any force between the normals of its sides.
+    assert values.slip.tolist() == [[0, 0]]
+    np.testing.assert_allclose(values.normal_force, [[2.0, 0.0]], atol=SIGNAL)
+    np.testing.assert_allclose(values.friction_force, 0.0, atol=SIGNAL)
 
 
 WAVY = np.array([CASES["wavy"]["start"], 0.5, 0.1, -0.1, -0.7])

@@ -1,10 +1,4 @@
-"""Friction of several contacts: which of them slip and which stick, where the path leaves an event.
-
-Along the path, contacts that slip must not turn back, and the lean of those that stick must not grow beyond its limit.
-Contacts that break this are changed one after the other until none does; the first of them is changed first, which
-cannot run in circles if the motion is unique (Murty, Linear Complementarity, Linear and Nonlinear Programming, 1988,
-chapter 5).
-"""
+"""Friction of several contacts: their slips and leans, where the path leaves an event and where a snap lands."""
 
 from typing import NamedTuple
 
@@ -17,16 +11,22 @@ from jaxwhisker._chain.march_state import AT_STOP, MarchOfChain, PerRow, TrialOf
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
-from jaxwhisker._equilibrium.friction import Friction, slipping_from
+from jaxwhisker._equilibrium.friction import LIGHT, Friction, slipping_from
 from jaxwhisker._equilibrium.point import Contacts, Point, along
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.margins import FAR
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, select
+from jaxwhisker._path.path import Node
+from jaxwhisker._path.slips import (
+    LEAN_NOISE,
+    RATE_NOISE,
+    LeavingContacts,
+    corrected_slips,
+    first_leans,
+    lead_of,
+    leaving_with,
+)
 
-LIGHT = 1e-6  # EI/L^2: smallest force of a contact that sticks: the lean of no force is unknown
-RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
-LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
-CONE_NOISE = 1e-9  # ... and of the force across the normal of others, in EI/L^2
+CONE_NOISE = 1e-9  # largest error of the force across the normal, in EI/L^2
 # Share of its limit from which the lean of coarse rods at rest counts as that of a slip. They have drag, and slide
 # beyond the place at which a slow slip would end.
 NEARLY_SLIPS = 0.5
@@ -146,24 +146,19 @@ def changed_slips(
 ) -> tuple[Bool[Array, ""], Int[Array, " rows"]]:
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
     state, limit = march.state, problem.friction_angle
-    assert state.friction is not None and limit is not None
-    onwards = slip_rates(problem, state, point.z, tangent.z, -jnp.inf)
-    slip, force = state.friction.slip, point.z[:, FORCE]
     held, leans = held_of(problem.profile, state), lean_of(problem.profile, limit, point.z, state)
-    assert leans is not None
-    # A contact that has just begun may slip either way or, if neither presses on, stick.
-    unloaded = (slip != 0) & (force <= LIGHT)
-    backwards = (onwards < -RATE_NOISE) | (state.touches & ~held.pinned & unloaded & falls & (limit > 0))
-    rates = lean_rates(problem, state, tangent.z)
-    exceeds = (jnp.abs(leans) > limit - RATE_NOISE) & (jnp.sign(leans) * rates > RATE_NOISE)
-    # A contact that sticks from its first touch may have a lean that no friction allows.
-    beyond = jnp.abs(leans) >= limit + LEAN_NOISE
-    exceeds = held.sticks & ~march.rests & (exceeds | (beyond & is_light(problem, state, march.point.z)))
-    can_stick = (~unloaded | (march.slips_tried > 0)) & (limit > 0)
-    changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
-    wrong = backwards | exceeds
-    first = wrong & (jnp.cumsum(wrong) == 1)
-    return jnp.any(wrong), jnp.where(first, changed, slip)
+    assert state.friction is not None and limit is not None and leans is not None
+    motion = LeavingContacts(
+        slip=state.friction.slip,
+        force=point.z[:, FORCE],
+        lean=leans,
+        lean_rate=lean_rates(problem, state, tangent.z),
+        slip_rate=slip_rates(problem, state, point.z, tangent.z, -jnp.inf),
+        sticks=held.sticks,
+        slips_either_way=state.touches & ~held.pinned,
+        light=is_light(problem, state, march.point.z),
+    )
+    return corrected_slips(motion, limit, falls, march.slips_tried, march.rests)
 
 
 def with_changed_slips(
@@ -171,78 +166,25 @@ def with_changed_slips(
 ) -> MarchOfChain:
     """The state at a node, before the direction in which the path leaves with these slips is determined.
 
-    Args:
-        problem: the problem.
-        march: the state of the march, at the node, with its stance.
-        node: the node, with the slips before.
-        slip: the new slips.
-        arriving: direction of the path before.
-        rest: whether the slips that change have come to rest, so that the path goes on without a corner.
+    See `leaving_with` for the arguments; the state of the march has its stance.
     """
-    before, earlier = march.state.friction, march.pending.before.friction
-    assert before is not None
+    before, limit = march.state.friction, problem.friction_angle
+    assert before is not None and limit is not None
     z, state = with_slips(problem, node.point.z, march.stance.parameter, march.state, slip)
-    held, changes, sticking = held_of(problem.profile, state), slip != before.slip, slip == 0
-    light = is_light(problem, state, z)
-    of_lean = jnp.where(held.at_corner, SLACK, PARAMETER)[:, None] == jnp.arange(3)
+    light, at_corner = is_light(problem, state, z), held_of(problem.profile, state).at_corner
+    of_lean = jnp.where(at_corner, SLACK, PARAMETER)[:, None] == jnp.arange(3)
     if not rest:
-        known, leans = _first_leans(problem, march, arriving)
-        starts = (light & (before.slip != 0) & known)[:, None] & of_lean
-        z = jnp.where(starts, leans[:, None], z)
-    fresh = march.slips_tried == 0
-    # Slips at an event are changed after the event itself.
-    z_before = jnp.where(fresh, node.point.z, march.pending.z_before)
-    friction_before = select(fresh, before, earlier)
-    differ = slip != friction_before.slip
-    sticks, begins = differ & sticking, differ & (friction_before.slip == 0)
-    kind = jnp.where(jnp.any(sticks), EventKind.stick, jnp.where(jnp.any(begins), EventKind.slip, NO_EVENT))
-    pending = node._replace(
-        point=node.point._replace(z=z),
-        z_before=z_before,
-        arriving=arriving,
-        state=node.state._replace(friction=state.friction),
-        before=march.state._replace(friction=friction_before),
-        kind=kind,
-        whiskers=sticks | begins,
-        corner=jnp.asarray(True),
-    )
-    inwards = jnp.where(light[:, None], jnp.arange(3) == FORCE, -before.slip[:, None] * of_lean)
-    ahead = slip[:, None] * slip_by_contact(problem, z, state)
-    lead = jnp.where(changes[:, None], jnp.where(sticking[:, None], inwards, ahead), 0.0)
-    lead = Point(lead, jnp.asarray(0.0))
-    if rest:
-        # A lean does not change at first; all else goes on as before.
-        same = jnp.where(changes[:, None] & of_lean, 0.0, arriving.z)
-        lead = Point(same, arriving.u)
-    return march.replace(
-        task=jnp.asarray(int(Task.arrive)),
-        state=state,
-        point=pending.point,
-        # What has led here has been judged.
-        target=march.target._replace(number=jnp.asarray(AT_STOP), whiskers=jnp.zeros_like(changes)),
-        lead=lead,
-        pending=pending,
-        slips_tried=march.slips_tried + 1,
-        rests=changes & sticking if rest else march.rests,
-    )
-
-
-def _first_leans(problem: ChainProblem, march: MarchOfChain, tangent: Point) -> tuple[Rows, PerRow]:
-    """Leans of contacts that stick from their first touch, where neither slip is possible; and whether they are known.
-
-    At vanishing force the equations are linear. The path with a contact that sticks is therefore that combination of
-    the paths with slips in both directions in which the contact does not slip. The tangent is that with the present
-    slips, and the pending node arrives along that with the slips tried before.
-    """
-    limit, other, friction = problem.friction_angle, march.pending.arriving, march.state.friction
-    assert limit is not None and friction is not None
-    by_contact = slip_by_contact(problem, march.point.z, march.state)
-    rate, other_rate = (jnp.sum(by_contact * one.z, axis=-1) for one in (tangent, other))
-    force, other_force = other_rate * tangent.z[:, FORCE], -rate * other.z[:, FORCE]
-    onwards = jnp.where(march.direction * (other_rate * tangent.u - rate * other.u) < 0, -1.0, 1.0)
-    across = friction.slip * jnp.sin(limit) * (force - other_force)
-    along = jnp.cos(limit) * (force + other_force)
-    return onwards * along > 0, jnp.arctan2(onwards * across, onwards * along)
+        by_contact = slip_by_contact(problem, march.point.z, march.state)
+        other = march.pending.arriving
+        known, leans = first_leans(by_contact, before.slip, limit, march.direction, arriving, other)
+        starts = light & (before.slip != 0) & known
+        z = jnp.where(starts[:, None] & of_lean, leans[:, None], z)
+    assert state.friction is not None
+    new, changes = leaving_with(march, node, z, state.friction, arriving, rest=rest)
+    lead = lead_of(new, changes, before.slip, light, of_lean, slip_by_contact(problem, z, state), rest=rest)
+    # What has led here has been judged.
+    target = march.target._replace(number=jnp.asarray(AT_STOP), whiskers=jnp.zeros_like(changes))
+    return new.replace(target=target, lead=lead)
 
 
 def slips_of(problem: ChainProblem, z: Contacts, state: ChainState) -> tuple[Array, Array, Array] | None:

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import slack_of
-from jaxwhisker._chain.friction import RATE_NOISE, by_friction, is_light, slip_rates
+from jaxwhisker._chain.friction import by_friction, is_light, slip_rates
 from jaxwhisker._chain.march_state import HIGH, LEAN, LOW, PHASE, RELEASE, TOUCH, MarchOfChain, TrialOfChain, inserted
 from jaxwhisker._chain.newton import ChainSolution, of_whiskers, solve_points
 from jaxwhisker._chain.problem import ChainProblem
@@ -17,6 +17,7 @@ from jaxwhisker._equilibrium.point import PathCondition, along, at_arc_length, a
 from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.path import select
+from jaxwhisker._path.slips import RATE_NOISE
 
 
 def solved_trial(

@@ -48,6 +48,7 @@ def newly_slipping(
     return friction._replace(slip=jnp.where(which, slipping_from(side).slip, friction.slip))
 
 
+LIGHT = 1e-6  # EI/L^2: smallest force of a contact that sticks: the lean of no force is unknown
 CELLS = 16  # of the quadrature of the arc length's derivatives by the object's numbers
 _AT, _WEIGHTS = gauss(3)
 POINTS, WEIGHTS = ((np.arange(CELLS)[:, None] + _AT) / CELLS).ravel(), np.tile(_WEIGHTS / CELLS, CELLS)

@@ -39,7 +39,7 @@ from jaxwhisker._equilibrium.contact import (
 )
 from jaxwhisker._equilibrium.contact_state import ContactState
 from jaxwhisker._equilibrium.couplings import Coupled, CouplingRows, as_contacts, loads_in, rows
-from jaxwhisker._equilibrium.friction import Friction
+from jaxwhisker._equilibrium.friction import LIGHT, Friction
 from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker, Poses
@@ -112,7 +112,6 @@ def contact_parameters(problem: Problem, z: Contacts, state: ContactState) -> Pe
 
 
 ROUNDING = 5e-15  # residual, relative to its terms, that rounding may cause
-LIGHT = 1e-6  # smallest force of a contact that sticks: the lean of no force is unknown
 
 
 def is_light(state: ContactState, z: Contacts) -> Bool[Array, " whiskers"]:

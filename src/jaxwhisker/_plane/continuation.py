@@ -12,13 +12,13 @@ from jaxwhisker._path.continuation import Arrival, Continuation, Loss, TargetPoi
 from jaxwhisker._path.march import STOPS
 from jaxwhisker._path.march_state import Target, Task
 from jaxwhisker._path.path import NO_EVENT, EventKind, Node, Status, first_case, is_snap, select
+from jaxwhisker._path.slips import RATE_NOISE
 from jaxwhisker._path.transitions import FIRST_STEP, SHORTER, SHORTEST_STEP
 from jaxwhisker._plane import snap_flow
 from jaxwhisker._plane.approach import approach_of
 from jaxwhisker._plane.events import (
     AT_STOP,
     MARGIN_NOISE,
-    RATE_NOISE,
     TOUCH,
     VERTEX,
     After,

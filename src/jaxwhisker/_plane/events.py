@@ -24,11 +24,10 @@ from jaxwhisker._equilibrium.stance import PerWhisker, Poses, Stance
 from jaxwhisker._equilibrium.touch import TouchAlongX
 from jaxwhisker._path.margins import FAR, Margins
 from jaxwhisker._path.path import STOP, EventKind
+from jaxwhisker._path.slips import LEAN_NOISE
 
-RATE_NOISE = 1e-9  # rate, per length of the path, that rounding may cause
 MARGIN_NOISE = 1e-12  # accuracy of margins; with it, two events at the same place do not violate each other
-LEAN_NOISE = 1e-6  # largest error of the lean of a contact that sticks with hardly any force
-CONE_NOISE = 1e-12  # ... and of the force across the normal of others, in EI/L^2
+CONE_NOISE = 1e-12  # largest error of the force across the normal of others, in EI/L^2
 
 Which = Bool[Array, " whiskers"]
 Ends = tuple[PerWhisker, PerWhisker]

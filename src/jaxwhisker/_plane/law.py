@@ -16,8 +16,8 @@ from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.continuation import WaysOn
 from jaxwhisker._path.march_state import Cases, Task
 from jaxwhisker._path.path import Node, Status, select
+from jaxwhisker._path.slips import RATE_NOISE
 from jaxwhisker._plane import snap_flow
-from jaxwhisker._plane.events import RATE_NOISE
 from jaxwhisker._plane.march_state import MarchInPlane, TrialInPlane
 from jaxwhisker._plane.slips import (
     changed_slips,
@@ -136,7 +136,7 @@ class Coulomb(Law):
 
     def memory(self):
         none = jnp.zeros_like(self.problem.length)
-        return {"tries": jnp.asarray(0), "rests": none.astype(bool), "stuck_at": none}
+        return {"slips_tried": jnp.asarray(0), "rests": none.astype(bool), "stuck_at": none}
 
     def remembered(self, goal, corner):
         return {"stop": goal, "corner": jnp.asarray(corner)}
@@ -175,17 +175,17 @@ class Coulomb(Law):
         return node._replace(travel=node.travel + further), moved._replace(z=moved.z.at[:, LEAN].multiply(~starts))
 
     def ways_on(self, march, onwards, node, trial, falls):
-        assert march.tries is not None
+        assert march.slips_tried is not None
         changed, slip = changed_slips(self.problem, march, node.point, node.leaving, falls)
         retry = with_changed_slips(self.problem, onwards, node, slip, trial.tangent, rest=False)
         undetermined = march.stopped(Status.undetermined)
         others: Cases = [
-            (changed & (march.tries > 4**march.state.phase.size), undetermined),
+            (changed & (march.slips_tried > 4**march.state.phase.size), undetermined),
             (changed, retry),
             ((march.drive_rate(node.leaving) <= 0) & trial.stable, undetermined),
         ]
-        onwards = onwards.replace(tries=jnp.zeros_like(march.tries), rests=jnp.zeros_like(march.state.free))
-        return WaysOn(others, onwards, (march.tries == 0) | ~changed)
+        onwards = onwards.replace(slips_tried=jnp.zeros_like(march.slips_tried), rests=jnp.zeros_like(march.state.free))
+        return WaysOn(others, onwards, (march.slips_tried == 0) | ~changed)
 
     def judged(self, march, trial):
         before, after, first = march.point.z, trial.solution.point.z, march.task == Task.kick

@@ -34,7 +34,7 @@ class MarchInPlane(MarchState):
     unstable_turns: Float[Array, " rates"]  # of what must not turn back (law.py), at a known unstable equilibrium
     lead: Lead
     before_vertex: PerWhisker  # sign of sin(alpha) until the whisker passes the vertex
-    tries: Int[Array, ""] | None = None  # of the slips with which the path leaves an event; None without friction
+    slips_tried: Int[Array, ""] | None = None  # so many times at the last event; None without friction
     # Whiskers whose slip has come to rest here. The lean at which they stick does not change at first: rounding alone
     # decides about the sign of its rate.
     rests: Bool[Array, " whiskers"] | None = None

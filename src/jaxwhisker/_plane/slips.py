@@ -1,10 +1,4 @@
-"""Slips: which contacts slip and which stick, where the path leaves an event and in each step of a snap.
-
-Along the path, contacts that slip must not turn back, and the lean of those that stick must not grow beyond its limit.
-Contacts that break this are changed one after the other until none does; the first of them is changed first, which
-cannot run in circles if the motion is unique (Murty, Linear Complementarity, Linear and Nonlinear Programming, 1988,
-chapter 5).
-"""
+"""Slips of whiskers with one contact each, where the path leaves an event and in each step of a snap."""
 
 from typing import NamedTuple
 
@@ -14,14 +8,14 @@ from jaxtyping import Array, Bool, Int
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import FORCE, LEAN
 from jaxwhisker._equilibrium.contact_state import ContactState
-from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.newton import LIGHT, is_light, slip_by_contact, with_slips
+from jaxwhisker._equilibrium.friction import LIGHT, slipping_from
+from jaxwhisker._equilibrium.newton import is_light, slip_by_contact, with_slips
 from jaxwhisker._equilibrium.point import Contacts, Point, scale_of
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._equilibrium.stance import PerWhisker
-from jaxwhisker._path.march_state import Task
-from jaxwhisker._path.path import NO_EVENT, EventKind, Node, select
-from jaxwhisker._plane.events import LEAN_NOISE, RATE_NOISE, Lead
+from jaxwhisker._path.path import Node
+from jaxwhisker._path.slips import LeavingContacts, corrected_slips, first_leans, lead_of, leaving_with
+from jaxwhisker._plane.events import Lead
 from jaxwhisker._plane.march_state import MarchInPlane
 from jaxwhisker._plane.snap_flow import ITERATIONS, Flow, branch_known
 
@@ -42,22 +36,19 @@ def changed_slips(
     problem: Problem, march: MarchInPlane, point: Point, tangent: Point, falls: Bool[Array, ""]
 ) -> tuple[Bool[Array, ""], Int[Array, " whiskers"]]:
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
-    limit, onwards = problem.friction_angle, slip_rates(problem, march.state, point.z, tangent.z)
-    assert limit is not None and march.tries is not None and march.rests is not None
-    slip, force, leans = march.state.slip, point.z[:, FORCE], point.z[:, LEAN]
-    # A contact that has just begun may slip either way or, if neither presses on, stick.
-    unloaded = (slip != 0) & (force <= LIGHT)
-    backwards = (onwards < -RATE_NOISE) | (march.state.touches & unloaded & falls & (limit > 0))
-    sticks = march.state.sticks
-    exceeds = (jnp.abs(leans) > limit - RATE_NOISE) & (jnp.sign(leans) * tangent.z[:, LEAN] > RATE_NOISE)
-    # A contact that sticks from its first touch may have a lean that no friction allows.
-    allowed = jnp.abs(leans) < limit + LEAN_NOISE
-    exceeds = sticks & ~march.rests & (exceeds | (~allowed & is_light(march.state, march.point.z)))
-    can_stick = (~unloaded | (march.tries > 0)) & (limit > 0)
-    changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
-    wrong = backwards | exceeds
-    first = wrong & (jnp.cumsum(wrong) == 1)
-    return jnp.any(wrong), jnp.where(first, changed, slip)
+    state, limit = march.state, problem.friction_angle
+    assert limit is not None and march.slips_tried is not None and march.rests is not None
+    motion = LeavingContacts(
+        slip=state.slip,
+        force=point.z[:, FORCE],
+        lean=point.z[:, LEAN],
+        lean_rate=tangent.z[:, LEAN],
+        slip_rate=slip_rates(problem, state, point.z, tangent.z),
+        sticks=state.sticks,
+        slips_either_way=state.touches,
+        light=is_light(state, march.point.z),
+    )
+    return corrected_slips(motion, limit, falls, march.slips_tried, march.rests)
 
 
 def with_changed_slips(
@@ -65,78 +56,22 @@ def with_changed_slips(
 ) -> MarchInPlane:
     """The state at a node, before the direction in which the path leaves with these slips is determined.
 
-    Args:
-        problem: the problem.
-        march: the state of the march, at the node.
-        node: the node, with the slips before.
-        slip: the new slips.
-        arriving: direction of the path before.
-        rest: whether the slips that change have come to rest, so that the path goes on without a corner.
+    See `leaving_with` for the arguments.
     """
-    before, earlier = march.state.friction, march.pending.before.friction
-    assert before is not None and earlier is not None and march.tries is not None
+    before, limit = march.state.friction, problem.friction_angle
+    assert before is not None and limit is not None
     z, state = with_slips(problem, node.point.z, march.state, slip, march.parameters)
+    light, of_lean = is_light(state, z), jnp.broadcast_to(jnp.arange(3) == LEAN, z.shape)
     if not rest:
-        starts = is_light(state, z) & (before.slip != 0)
-        known, leans = _first_leans(problem, march, arriving)
-        z = z.at[:, LEAN].set(jnp.where(starts & known, leans, z[:, LEAN]))
-    fresh = march.tries == 0
-    # Slips at an event are changed after the event itself.
-    z_before = jnp.where(fresh, node.point.z, march.pending.z_before)
-    friction_before = select(fresh, before, earlier)
-    differ = state.slip != friction_before.slip
-    sticks = differ & (state.slip == 0)
-    begins = differ & (friction_before.slip == 0)
-    kind = jnp.where(jnp.any(sticks), EventKind.stick, jnp.where(jnp.any(begins), EventKind.slip, NO_EVENT))
-    changes = slip != before.slip
-    pending = node._replace(
-        point=node.point._replace(z=z),
-        z_before=z_before,
-        arriving=arriving,
-        state=node.state._replace(friction=state.friction),
-        before=march.state._replace(friction=friction_before),
-        kind=kind,
-        whiskers=sticks | begins,
-        corner=jnp.asarray(True),
-    )
-    inwards = jnp.zeros_like(z).at[:, LEAN].set(-before.slip.astype(float))
-    starts = is_light(state, z)[:, None]
-    inwards = jnp.where(starts, jnp.zeros_like(z).at[:, FORCE].set(1.0), inwards)
-    ahead = state.slip[:, None] * slip_by_contact(problem, z, state)
-    lead = jnp.where((slip == 0)[:, None], inwards, ahead)
-    weights = Lead(jnp.where(changes[:, None], lead, 0.0), jnp.zeros_like(march.pose), jnp.asarray(0.0))
-    if rest:
-        # A lean does not change at first; all else goes on as before.
-        same = jnp.where(changes[:, None], arriving.z.at[:, LEAN].set(0.0), arriving.z)
-        weights = weights._replace(z=same, u=arriving.u)
-    return march.replace(
-        task=jnp.asarray(int(Task.arrive)),
-        state=state,
-        point=pending.point,
-        stuck_at=march.parameters,
-        lead=weights,
-        pending=pending,
-        tries=march.tries + 1,
-        rests=changes & (slip == 0) if rest else march.rests,
-    )
-
-
-def _first_leans(problem: Problem, march: MarchInPlane, tangent: Point) -> tuple[Bool[Array, " whiskers"], PerWhisker]:
-    """Leans of contacts that stick from their first touch, where neither slip is possible; and whether they are known.
-
-    At vanishing force the equations are linear. The path with a contact that sticks is therefore that combination of
-    the paths with slips in both directions in which the contact does not slip. The tangent is that with the present
-    slips, and the pending node arrives along that with the slips tried before.
-    """
-    limit, other = problem.friction_angle, march.pending.arriving
-    assert limit is not None
-    by_contact = slip_by_contact(problem, march.point.z, march.state)
-    rate, other_rate = (jnp.sum(by_contact * one.z, axis=-1) for one in (tangent, other))
-    force, other_force = other_rate * tangent.z[:, FORCE], -rate * other.z[:, FORCE]
-    onwards = jnp.where(march.direction * (other_rate * tangent.u - rate * other.u) < 0, -1.0, 1.0)
-    across = march.state.slip * jnp.sin(limit) * (force - other_force)
-    along = jnp.cos(limit) * (force + other_force)
-    return onwards * along > 0, jnp.arctan2(onwards * across, onwards * along)
+        by_contact = slip_by_contact(problem, march.point.z, march.state)
+        other = march.pending.arriving
+        known, leans = first_leans(by_contact, before.slip, limit, march.direction, arriving, other)
+        starts = light & (before.slip != 0) & known
+        z = z.at[:, LEAN].set(jnp.where(starts, leans, z[:, LEAN]))
+    assert state.friction is not None
+    new, changes = leaving_with(march, node, z, state.friction, arriving, rest=rest)
+    lead = lead_of(new, changes, before.slip, light, of_lean, slip_by_contact(problem, z, state), rest=rest)
+    return new.replace(stuck_at=march.parameters, lead=Lead(lead.z, jnp.zeros_like(march.pose), lead.u))
 
 
 class Disagreement(NamedTuple):

@@ -6,7 +6,8 @@ from jaxtyping import Array, Bool, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import PARAMETER, SLACK, Phase, beyond
-from jaxwhisker._equilibrium.newton import LIGHT, Apart, contact_parameters, slope_sines
+from jaxwhisker._equilibrium.friction import LIGHT
+from jaxwhisker._equilibrium.newton import Apart, contact_parameters, slope_sines
 from jaxwhisker._equilibrium.pieces import ends_of
 from jaxwhisker._equilibrium.point import Contacts, Point, along, at_arc_length, dot, scale_of, unit
 from jaxwhisker._equilibrium.problem import Problem

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.continuation import Loss
-from jaxwhisker._plane.events import RATE_NOISE
+from jaxwhisker._path.slips import RATE_NOISE
 from jaxwhisker._plane.law import FOLD_SLOPE, Turns, contact_law
 from jaxwhisker._plane.march_state import MarchInPlane, TrialInPlane
 

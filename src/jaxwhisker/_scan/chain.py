@@ -205,12 +205,13 @@ def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) ->
     if state.friction is None or lean is None or problem.friction_angle is None:
         contact = _apart(problem, each, contact)
     else:
-        # The force of a tip in an inner corner leans from the nearest normal there. It stays one contact.
+        # The force of a tip in an inner corner leans from the nearest normal there. It stays one contact, without slip.
         pinned, p = held_of(problem.profile, state).pinned, z[:, PARAMETER]
         beyond = jnp.where(pinned, p - jnp.clip(p, *problem.profile.ends_on(jnp.where(pinned, state.piece, 0))), 0.0)
         contact = contact._replace(slope=contact.slope + of_whiskers(problem, beyond))
         lean = lean + beyond
-        parts = state.friction.slip, force * jnp.cos(lean) * unit.force, -force * jnp.sin(lean) * unit.force
+        slip = jnp.where(pinned, 0, state.friction.slip)
+        parts = slip, force * jnp.cos(lean) * unit.force, -force * jnp.sin(lean) * unit.force
         parts = jax.tree.map(lambda leaf: jnp.where(state.touches, leaf, 0), parts)
         friction = dict(zip(FRICTION, of_whiskers(problem, parts), strict=True))
         cone = (jnp.abs(lean) - problem.friction_angle) * jnp.minimum(force, 1.0)
