@@ -19,9 +19,9 @@ from jaxwhisker._chain.march_state import (
 )
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import FORCE, SLACK, Phase
 from jaxwhisker._equilibrium.friction import Friction
-from jaxwhisker._equilibrium.point import Contacts
 from jaxwhisker._path.path import STOP, EventKind, select
 
 KINDS = {
@@ -37,7 +37,7 @@ KINDS = {
 
 def changed_contacts(
     problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain
-) -> tuple[Contacts, ChainState, Int[Array, ""]]:
+) -> tuple[RowsOfContacts, ChainState, Int[Array, ""]]:
     """The contacts behind the event that a march has solved for, their state, and the kind of the event."""
     target, state, z = march.target, trial.state, trial.point.z
     number, rows = target.number, target.whiskers
@@ -74,9 +74,9 @@ def _with_friction(
     rows: Bool[Array, " rows"],
     way: Int[Array, ""],
     trial: TrialOfChain,
-    after: tuple[Contacts, ChainState],
+    after: tuple[RowsOfContacts, ChainState],
     limit: PerRow,
-) -> tuple[Contacts, ChainState]:
+) -> tuple[RowsOfContacts, ChainState]:
     """The contacts behind an event at one of them, which may change what its numbers mean.
 
     Args:
@@ -104,7 +104,7 @@ def _with_friction(
     slip = jnp.where(enters, 0, jnp.where(leaves, way, friction.slip))
     slip = jnp.where(rows & then.sticks & (way == 0) & (state.phase == before.phase), jnp.sign(limit).astype(int), slip)
     beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
-    # Contacts that stick go on from where they are.
+    # RowsOfContacts that stick go on from where they are.
     moves = rows & then.sticks & ((state.piece != before.piece) | (state.side != before.side))
     places = jnp.where(moves, parameter, friction.parameter), jnp.where(moves, beyond, friction.beyond)
     state = state._replace(friction=Friction(slip, *places))

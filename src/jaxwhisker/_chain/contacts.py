@@ -44,10 +44,11 @@ from jaxwhisker._equilibrium.friction import Friction, rolled, slipping_from
 from jaxwhisker._model.objects import Objects
 from jaxwhisker._model.profile import ContactPoint
 from jaxwhisker._rod import rod
-from jaxwhisker._rod.rod import Load, RodState, RodStates, Section, moment
+from jaxwhisker._rod.rod import Load, RodStates, Section, moment
 
 Places = tuple[Float[Array, "*batch contacts"], Float[Array, "*batch contacts"]]  # parameter, beyond: see Friction
 PerContact = Float[Array, "*batch contacts"]
+Points = Float[Array, "segments ends"]  # at the ends of integration steps
 
 MORE_STEPS = 1.5  # steps of a segment, relative to those of a whole rod: they are shorter near its ends
 
@@ -85,7 +86,7 @@ class Segments(NamedTuple):
     parameter: PerContact  # of the object, at the contact
     contact: ContactPoint
     beyond: PerContact  # arc length of the whisker beyond the contact; all of it for places that are not used
-    start: RodState
+    start: RodStates
     load: Load  # on the segment
     arc: PerContact  # length of the segment
 
@@ -196,7 +197,9 @@ def fractions(steps: int) -> np.ndarray:
     return (1 - np.cos(np.pi * np.arange(steps + 1) / steps)) / 2
 
 
-def segments(body: WhiskerAtObject, starts: RodState, loads: Load, arcs: Array, from_base: Array) -> RodStates:
+def segments(
+    body: WhiskerAtObject, starts: RodStates, loads: Load, arcs: Array, from_base: Array
+) -> tuple[Points, Points, Points, Points]:
     """States at the ends of all integration steps of some segments; fields (segments, points)."""
     material, times = material_of(body), jnp.asarray(fractions(step_count(body)))
 

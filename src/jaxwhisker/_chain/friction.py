@@ -10,9 +10,10 @@ from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, parameter_o
 from jaxwhisker._chain.march_state import AT_STOP, MarchOfChain, PerRow, TrialOfChain
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
 from jaxwhisker._equilibrium.friction import LIGHT, Friction, slipping_from
-from jaxwhisker._equilibrium.point import Contacts, Point, along
+from jaxwhisker._equilibrium.point import Point, along
 from jaxwhisker._path.march_state import Task
 from jaxwhisker._path.margins import FAR
 from jaxwhisker._path.path import Node
@@ -35,7 +36,7 @@ NEAR = 0.02  # of the object's parameter: error of the places of coarse rods
 Rows = Bool[Array, " rows"]
 
 
-def slip_by_contact(problem: ChainProblem, z: Contacts, state: ChainState) -> Contacts:
+def slip_by_contact(problem: ChainProblem, z: RowsOfContacts, state: ChainState) -> RowsOfContacts:
     """Derivatives of the distances slipped along the object's tangent, by the numbers of contacts that slip."""
     slips = state.touches if state.friction is None else state.touches & (state.friction.slip != 0)
     piece = jnp.where(state.touches, state.piece, 0)
@@ -52,7 +53,7 @@ def slip_by_contact(problem: ChainProblem, z: Contacts, state: ChainState) -> Co
 
 
 def slip_rates(
-    problem: ChainProblem, state: ChainState, z: Contacts, z_rate: Contacts, least: float = LIGHT
+    problem: ChainProblem, state: ChainState, z: RowsOfContacts, z_rate: RowsOfContacts, least: float = LIGHT
 ) -> Float[Array, " rates"]:
     """Rates of slip in the direction of slip, infinite for contacts without one or with a smaller force.
 
@@ -65,14 +66,16 @@ def slip_rates(
     return jnp.where(slips, state.friction.slip * rates, jnp.inf)
 
 
-def most_lean(problem: ChainProblem, z: Contacts) -> PerRow:
+def most_lean(problem: ChainProblem, z: RowsOfContacts) -> PerRow:
     """The lean beyond which contacts that stick begin to slip; with friction."""
     limit = problem.friction_angle
     assert limit is not None
     return limit + jnp.minimum(LEAN_NOISE, CONE_NOISE / jnp.maximum(z[:, FORCE], CONE_NOISE))
 
 
-def lean_margin(problem: ChainProblem, state: ChainState, z: Contacts, lean: PerRow | None) -> Float[Array, " rows"]:
+def lean_margin(
+    problem: ChainProblem, state: ChainState, z: RowsOfContacts, lean: PerRow | None
+) -> Float[Array, " margins"]:
     """How much further the forces of contacts that stick may lean; nothing without friction."""
     if lean is None or problem.friction_angle is None:
         return jnp.zeros(0)
@@ -80,12 +83,12 @@ def lean_margin(problem: ChainProblem, state: ChainState, z: Contacts, lean: Per
     return jnp.where(sticks, most_lean(problem, z) - jnp.abs(lean), FAR)
 
 
-def is_light(problem: ChainProblem, state: ChainState, z: Contacts) -> Rows:
+def is_light(problem: ChainProblem, state: ChainState, z: RowsOfContacts) -> Rows:
     """Whether contacts stick whose force is too small for its lean to be known."""
     return held_of(problem.profile, state).sticks & (z[:, FORCE] <= LIGHT)
 
 
-def is_wedged(problem: ChainProblem, state: ChainState, z: Contacts) -> Bool[Array, ""]:
+def is_wedged(problem: ChainProblem, state: ChainState, z: RowsOfContacts) -> Bool[Array, ""]:
     """Whether two neighbouring contacts stick: the force along a straight part between them is not determined."""
     if state.friction is None:
         return jnp.asarray(False)
@@ -93,7 +96,7 @@ def is_wedged(problem: ChainProblem, state: ChainState, z: Contacts) -> Bool[Arr
     return jnp.any(sticks[:, 1:] & sticks[:, :-1])
 
 
-def lean_rates(problem: ChainProblem, state: ChainState, z_rate: Contacts) -> PerRow:
+def lean_rates(problem: ChainProblem, state: ChainState, z_rate: RowsOfContacts) -> PerRow:
     """Rates of the leans of contacts that stick; meaningless for others."""
     return jnp.where(held_of(problem.profile, state).at_corner, z_rate[:, SLACK], z_rate[:, PARAMETER])
 
@@ -123,8 +126,8 @@ def by_friction(problem: ChainProblem, march: MarchOfChain, of_lean: Array, ends
 
 
 def with_slips(
-    problem: ChainProblem, z: Contacts, parameter: PerRow, state: ChainState, slip: Int[Array, " rows"]
-) -> tuple[Contacts, ChainState]:
+    problem: ChainProblem, z: RowsOfContacts, parameter: PerRow, state: ChainState, slip: Int[Array, " rows"]
+) -> tuple[RowsOfContacts, ChainState]:
     """The same contacts, at these parameters, which from here on slip in these directions or stick (0)."""
     old, limit, profile = state.friction, problem.friction_angle, problem.profile
     assert old is not None and limit is not None
@@ -187,7 +190,7 @@ def with_changed_slips(
     return new.replace(target=target, lead=lead)
 
 
-def slips_of(problem: ChainProblem, z: Contacts, state: ChainState) -> tuple[Array, Array, Array] | None:
+def slips_of(problem: ChainProblem, z: RowsOfContacts, state: ChainState) -> tuple[Array, Array, Array] | None:
     """Number of the object, slip, and length of the whisker beyond all contacts, as coarse rods take them."""
     if state.friction is None:
         return None
@@ -196,8 +199,10 @@ def slips_of(problem: ChainProblem, z: Contacts, state: ChainState) -> tuple[Arr
     return jnp.where(state.touches, jnp.asarray(number), -1), state.friction.slip, beyond
 
 
-def landed(problem: ChainProblem, z: Contacts, state: ChainState, lean: PerRow) -> tuple[Contacts, ChainState]:
-    """Contacts at rest after a snap, whose forces lean like this: they slip as they came to rest, or they stick there.
+def landed(
+    problem: ChainProblem, z: RowsOfContacts, state: ChainState, lean: PerRow
+) -> tuple[RowsOfContacts, ChainState]:
+    """RowsOfContacts at rest after a snap, whose forces lean like this: they slip as they came to rest, or they stick there.
 
     Without friction, they stay as they are.
     """

@@ -14,8 +14,8 @@ from jaxwhisker._chain.friction import slip_by_contact
 from jaxwhisker._chain.march_state import removed
 from jaxwhisker._chain.newton import residuals
 from jaxwhisker._chain.problem import ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
-from jaxwhisker._equilibrium.point import Contacts
 from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, is_snap
 
 
@@ -32,7 +32,7 @@ def _at_control(unknowns: Float[Array, " n"], known: KnownOfChain) -> Float[Arra
     return jnp.ravel(residuals(known.problem, z, known.u, known.state)[0])
 
 
-def solved(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> Contacts:
+def solved(problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState) -> RowsOfContacts:
     """Solved contacts at a control, with their derivatives."""
     still = jax.lax.stop_gradient(z)
     unknowns = solution_of(_at_control, jnp.ravel(still), KnownOfChain(problem, u, state))
@@ -41,8 +41,8 @@ def solved(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> 
 
 class _KnownEventOfChain(NamedTuple):
     at: KnownOfChain
-    weight: Contacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
-    origin: Contacts  # the unknowns from which that sum is measured, apart from derivatives
+    weight: RowsOfContacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
+    origin: RowsOfContacts  # the unknowns from which that sum is measured, apart from derivatives
     on_edge: Float[Array, "2 rows"]  # rows whose parameter is at the beginning and at the end of its piece
     leaning: Float[Array, " rows"]  # rows whose lean is at its limit: its sign
     rests: Bool[Array, " rows"]  # rows whose slip comes to rest
@@ -70,7 +70,7 @@ def _at_event(unknowns: Float[Array, " n"], known: _KnownEventOfChain) -> Float[
     return jnp.append(jnp.ravel(residual), condition)
 
 
-def _slip_rate(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState, rows: Array) -> Float[Array, ""]:
+def _slip_rate(problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState, rows: Array) -> Float[Array, ""]:
     """Rate of slip of these contacts, by the control; 0 without any."""
 
     def equations(z, u):
@@ -86,7 +86,7 @@ def _slip_rate(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState,
 class ChainSide(NamedTuple):
     """An equilibrium before or after an event."""
 
-    z: Contacts
+    z: RowsOfContacts
     u: Scalar
     state: ChainState
 
@@ -174,8 +174,8 @@ def _if_filled(state: ChainState, filled: Array) -> ChainState:
 
 class _SolvedEvent(NamedTuple):
     u: Scalar
-    before: Contacts
-    after: Contacts  # but of a snap
+    before: RowsOfContacts
+    after: RowsOfContacts  # but of a snap
 
 
 def _solved_event(problem: ChainProblem, node: Node, folds: Array, filled: Array, known: Array) -> _SolvedEvent:

@@ -9,9 +9,9 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainState, unused
 from jaxwhisker._chain.gaps import Candidate
 from jaxwhisker._chain.newton import ChainSolution
-from jaxwhisker._chain.rows import with_row, without_row
+from jaxwhisker._chain.rows import RowsOfContacts, with_row, without_row
 from jaxwhisker._equilibrium.friction import slipping_from
-from jaxwhisker._equilibrium.point import Contacts, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._path.march_state import MarchState
 from jaxwhisker._path.path import Node
 
@@ -44,7 +44,7 @@ class ChainFlow(NamedTuple):
     """What follows from a loss of stability."""
 
     attempt: Int[Array, ""]  # number of the distance behind the loss at which whiskers come to rest
-    start: Contacts  # from where they begin to move
+    start: RowsOfContacts  # from where they begin to move
     u: Scalar  # the control of the loss
     travel: Scalar  # of the drive, there
     snaps: Int[Array, ""]  # so many have happened there before
@@ -95,14 +95,16 @@ class TrialOfChain(NamedTuple):
         return self.solution.converged
 
 
-def inserted(z: Contacts, state: ChainState, new: NewContact, contacts: int) -> tuple[Contacts, ChainState]:
+def inserted(z: RowsOfContacts, state: ChainState, new: NewContact, contacts: int) -> tuple[RowsOfContacts, ChainState]:
     """The contacts with a new one; those of its whisker that follow it move on by one place."""
     begun = None if state.friction is None else slipping_from(new.side)
     own = new.numbers, ChainState(new.phase, new.side, new.piece, begun)
     return with_row((z, state), new.row, own, contacts)
 
 
-def removed(z: Contacts, state: ChainState, rows: Bool[Array, " rows"], contacts: int) -> tuple[Contacts, ChainState]:
+def removed(
+    z: RowsOfContacts, state: ChainState, rows: Bool[Array, " rows"], contacts: int
+) -> tuple[RowsOfContacts, ChainState]:
     """The contacts without one of these rows; those of its whisker that follow it move back by one place."""
     nothing = jnp.zeros_like(z), unused(z.shape[0], friction=state.friction is not None)
     return without_row((z, state), rows, nothing, contacts)

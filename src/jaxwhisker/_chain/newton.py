@@ -16,8 +16,9 @@ from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.contacts import ChainEquations, ChainState, equations, last_contact
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import in_base_frame, of_each
-from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point
+from jaxwhisker._equilibrium.point import PathCondition, Point
 from jaxwhisker._equilibrium.solver import StructuredNewton
 
 
@@ -39,12 +40,14 @@ def of_whiskers(problem: ChainProblem, tree):
     return jax.tree.map(lambda leaf: jnp.reshape(leaf, (*shape, *leaf.shape[1:])), tree)
 
 
-def evaluate(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> ChainEquations:
+def evaluate(problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState) -> ChainEquations:
     """The equations of all whiskers; fields (whiskers, ...)."""
     return of_each(problem.bodies(u), equations, *of_whiskers(problem, (z, state)))
 
 
-def residuals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> tuple[Contacts, ChainEquations]:
+def residuals(
+    problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState
+) -> tuple[RowsOfContacts, ChainEquations]:
     """Residuals of all equations, like the contacts, and what they are made of."""
     at = evaluate(problem, z, u, state)
     last = jax.vmap(last_contact)(of_whiskers(problem, state).touches)

@@ -33,9 +33,9 @@ from jaxwhisker._chain.friction import landed
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._chain.shaft import WholeShaft
 from jaxwhisker._equilibrium.contact import Phase, of_each
-from jaxwhisker._equilibrium.point import Contacts
 
 MOST = 48  # points that are pushed at the same time, as far as second derivatives are concerned
 STRIDE, LONGEST_STRIDE = 0.01, 0.1  # lengths by which a point may move in a step, close to objects and far from them
@@ -65,7 +65,7 @@ class CoarseRods(NamedTuple):
 class Landing(NamedTuple):
     """Contacts in which rods have come to rest, as a guess."""
 
-    z: Contacts
+    z: RowsOfContacts
     state: ChainState
     settled: Bool[Array, ""]
     too_many: Bool[Array, ""]  # whether there are more contacts than there is room for

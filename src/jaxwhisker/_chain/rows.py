@@ -7,8 +7,9 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
+RowsOfContacts = Float[Array, "rows numbers"]  # three numbers in the plane, eleven in space
 Tree = TypeVar("Tree")
 
 

@@ -7,11 +7,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.contacts import ChainState, Segments, chain_of, fractions, segments, step_count
+from jaxwhisker._chain.contacts import (
+    ChainState,
+    PerContact,
+    Points,
+    Segments,
+    chain_of,
+    fractions,
+    segments,
+    step_count,
+)
 from jaxwhisker._equilibrium.contact import WhiskerAtObject, material_of
 from jaxwhisker._rod.rod import Load, RodStates, Section, graded, moment
-
-Points = Float[Array, "segments points"]
 
 
 class WholeShaft(NamedTuple):
@@ -51,7 +58,7 @@ def pieces_of(body: WhiskerAtObject, chain: Segments, state: ChainState, base: B
     from_base = jnp.where(free, 0.0, body.length - chain.beyond[0])
     # Places that are not used are at the base.
 
-    def with_first(at: Scalar, there: Scalar) -> Array:
+    def with_first(at: Scalar, there: PerContact) -> Array:
         own = jnp.where(state.touches, there, at)
         return jnp.append(own[0], own)
 

@@ -10,9 +10,9 @@ from jaxwhisker._chain.gaps import Candidate, Gaps, gaps_of
 from jaxwhisker._chain.march_state import ChainStance
 from jaxwhisker._chain.newton import of_whiskers
 from jaxwhisker._chain.problem import BasePoses, ChainProblem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._chain.shaft import BaseAt, WholeShaft, shaft_of
 from jaxwhisker._equilibrium.contact import Phase, WhiskerAtObject, of_each
-from jaxwhisker._equilibrium.point import Contacts
 
 FLAT = 1e-8  # difference of curvatures that may be rounding
 
@@ -23,7 +23,7 @@ def bases_of(problem: ChainProblem, u: Scalar, pose: BasePoses) -> BaseAt:
     return BaseAt(at.x, at.y, -jnp.sin(at.angle), jnp.cos(at.angle))
 
 
-def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState) -> WholeShaft:
+def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: RowsOfContacts, state: ChainState) -> WholeShaft:
     """The shafts of all whiskers; fields (whiskers, ...)."""
     own = of_whiskers(problem, (z, state))
 
@@ -34,7 +34,7 @@ def shafts_of(problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, st
 
 
 def stance_of(
-    problem: ChainProblem, u: Scalar, pose: BasePoses, z: Contacts, state: ChainState
+    problem: ChainProblem, u: Scalar, pose: BasePoses, z: RowsOfContacts, state: ChainState
 ) -> tuple[ChainStance, Candidate]:
     """The stance at a point of the path, and the contacts that may begin."""
     bodies = problem.bodies(u)

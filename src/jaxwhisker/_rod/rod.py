@@ -73,11 +73,14 @@ def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
 
 
 class Load(eqx.Module):
-    """Load on the rod at and beyond the start of the integration: force, moment about the origin; None if absent."""
+    """Load on the rod at and beyond the start of the integration: force, moment about the origin; None if absent.
 
-    force_x: Scalar | None
-    force_y: Scalar
-    moment: Scalar | None
+    Fields of the loads on several rods, or on the segments of one whisker, are stacked.
+    """
+
+    force_x: Scalar | Float[Array, "*batch"] | None
+    force_y: Scalar | Float[Array, "*batch"]
+    moment: Scalar | Float[Array, "*batch"] | None
 
 
 Material: TypeAlias = Scalar | Section | None  # bending stiffness, or the section of a non-uniform rod; None: EI = 1

@@ -21,8 +21,9 @@ from jaxwhisker._chain.margins import may_turn
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, Phase
-from jaxwhisker._equilibrium.point import Contacts, at_control
+from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.march import follow, sweeps_of
@@ -122,7 +123,7 @@ class SeveralContacts(Mechanics):
 
     @staticmethod
     def states(problem, u, solutions, remembered):
-        def one(u: Scalar, z: Contacts, state: ChainState):
+        def one(u: Scalar, z: RowsOfContacts, state: ChainState):
             return signals(problem, solved(problem, z, u, state), u, state)
 
         return jax.vmap(one)(u, solutions.z, solutions.state.stuck_at(remembered))
@@ -175,7 +176,7 @@ class SeveralContacts(Mechanics):
         return None if memory is None else NotImplemented
 
 
-def signals(problem: ChainProblem, z: Contacts, u: Scalar, state: ChainState) -> tuple[State, Scalar, None]:
+def signals(problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState) -> tuple[State, Scalar, None]:
     """State of an equilibrium in the scene's units, its largest residual, and None for the displacement of bases."""
     residual, at = residuals(problem, z, u, state)
     unit, each = problem.unit, of_whiskers(problem, state)

@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, at_control
+from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.march import follow, sweeps_of
 from jaxwhisker._path.path import Node, Path, ScanPath, Status
@@ -73,7 +74,7 @@ class SeveralContactsInSpace(Space):
     def states(problem, u, solutions, remembered):
         del remembered
 
-        def one(u: Scalar, z: Contacts, phase: PhasesOfRows):
+        def one(u: Scalar, z: RowsOfContacts, phase: PhasesOfRows):
             return signals(problem, solved(problem, z, u, phase), u, phase)
 
         return jax.vmap(one)(u, solutions.z, solutions.state)
@@ -110,7 +111,7 @@ class SeveralContactsInSpace(Space):
         return control, touched & ~touches
 
 
-def signals(problem: SpaceProblem, z: Contacts, u: Scalar, phase: PhasesOfRows) -> SpaceSignals:
+def signals(problem: SpaceProblem, z: RowsOfContacts, u: Scalar, phase: PhasesOfRows) -> SpaceSignals:
     """State of an equilibrium, its largest residual, and the displacement of bases, None if they are clamped."""
     residual, pose, here = residuals(problem, z, u, phase, z)
     unit, each = problem.unit, of_whiskers(problem, phase)

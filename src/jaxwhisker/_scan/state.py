@@ -11,6 +11,11 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 
+PerWhisker = Float[Array, "*steps whiskers"]
+# With a last axis of contacts if whiskers may have several:
+PerContact = PerWhisker | Float[Array, "*steps whiskers contacts"]
+NumberPerContact = Int[Array, "*steps whiskers"] | Int[Array, "*steps whiskers contacts"]
+
 
 class State(eqx.Module):
     """Whiskers in equilibrium, in the scene's units; every field has shape (whiskers,), in a Result (steps, whiskers).
@@ -20,29 +25,29 @@ class State(eqx.Module):
     are zero, and so are the reactions, unless the whisker has a weight or springs on its shaft.
     """
 
-    base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
-    base_y: Float[Array, "*steps whiskers"]
-    base_angle: Float[Array, "*steps whiskers"]  # angle of the base to the upright, rad, counter-clockwise positive
-    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along +x
-    fy: Float[Array, "*steps whiskers"]  # force along +y
-    mz: Float[Array, "*steps whiskers"]  # moment, counter-clockwise positive
-    contact_force: Float[Array, "*steps whiskers"]  # f >= 0, a force
-    contact_slope: Float[Array, "*steps whiskers"]  # slope angle alpha of the object, rad, positive: rises towards +x
-    contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
-    contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
-    contact_y: Float[Array, "*steps whiskers"]
-    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    base_x: PerWhisker  # position of the base, a length
+    base_y: PerWhisker
+    base_angle: PerWhisker  # angle of the base to the upright, rad, counter-clockwise positive
+    fx: PerWhisker  # support reaction on the whisker: force along +x
+    fy: PerWhisker  # force along +y
+    mz: PerWhisker  # moment, counter-clockwise positive
+    contact_force: PerContact  # f >= 0, a force
+    contact_slope: PerContact  # slope angle alpha of the object, rad, positive: rises towards +x
+    contact_arc: PerContact  # arc length from base to contact
+    contact_x: PerContact  # contact point, a length
+    contact_y: PerContact
+    phase: NumberPerContact  # Phase.free, .tip, .tangential
     # The following fields are None without friction: the direction of slip along the object (+1 towards +x, -1 towards
     # -x, 0 if the contact sticks), and the parts of the contact force along the normal (>= 0) and, positive towards +x,
     # along the object.
-    slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    friction_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    slip: NumberPerContact | None = eqx.field(default=None, kw_only=True)
+    normal_force: PerContact | None = eqx.field(default=None, kw_only=True)
+    friction_force: PerContact | None = eqx.field(default=None, kw_only=True)
     # None with one object: the number of the object that is touched, in the order of the scene's profiles: 1, 2, ...
-    contact_object: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    contact_object: NumberPerContact | None = eqx.field(default=None, kw_only=True)
     # The loads on the whisker of the springs whose second end is on its shaft and whose first end is on another one:
     # for each spring, the force along x, along y, and the moment, in the drive's frame. None without such springs.
-    shaft_loads: tuple[Float[Array, "*steps whiskers"], ...] | None = eqx.field(default=None, kw_only=True)
+    shaft_loads: tuple[PerWhisker, ...] | None = eqx.field(default=None, kw_only=True)
 
 
 class SpaceState(eqx.Module):
@@ -53,31 +58,31 @@ class SpaceState(eqx.Module):
     contact fields of a free whisker are zero.
     """
 
-    fx: Float[Array, "*steps whiskers"]  # support reaction on the whisker: force along +x
-    fy: Float[Array, "*steps whiskers"]
-    fz: Float[Array, "*steps whiskers"]
-    mx: Float[Array, "*steps whiskers"]  # moment about the displaced base, right-handed about +x
-    my: Float[Array, "*steps whiskers"]
-    mz: Float[Array, "*steps whiskers"]
-    base_x: Float[Array, "*steps whiskers"]  # position of the base, a length
-    base_y: Float[Array, "*steps whiskers"]
-    base_z: Float[Array, "*steps whiskers"]
+    fx: PerWhisker  # support reaction on the whisker: force along +x
+    fy: PerWhisker
+    fz: PerWhisker
+    mx: PerWhisker  # moment about the displaced base, right-handed about +x
+    my: PerWhisker
+    mz: PerWhisker
+    base_x: PerWhisker  # position of the base, a length
+    base_y: PerWhisker
+    base_z: PerWhisker
     base_rotation: Float[Array, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
-    contact_force: Float[Array, "*steps whiskers"]  # size of the force of the object on the whisker
-    contact_arc: Float[Array, "*steps whiskers"]  # arc length from base to contact
-    contact_x: Float[Array, "*steps whiskers"]  # contact point, a length
-    contact_y: Float[Array, "*steps whiskers"]
-    contact_z: Float[Array, "*steps whiskers"]
-    phase: Int[Array, "*steps whiskers"]  # Phase.free, .tip, .tangential
+    contact_force: PerContact  # size of the force of the object on the whisker
+    contact_arc: PerContact  # arc length from base to contact
+    contact_x: PerContact  # contact point, a length
+    contact_y: PerContact
+    contact_z: PerContact
+    phase: NumberPerContact  # Phase.free, .tip, .tangential
     # The following fields are None without friction: whether a contact slips (1) or sticks (0), and the parts of the
     # contact force: that along the object's normal (>= 0), and friction, which acts on the whisker along the object.
-    slip: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    normal_force: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    friction_x: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    friction_y: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
-    friction_z: Float[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    slip: NumberPerContact | None = eqx.field(default=None, kw_only=True)
+    normal_force: PerContact | None = eqx.field(default=None, kw_only=True)
+    friction_x: PerContact | None = eqx.field(default=None, kw_only=True)
+    friction_y: PerContact | None = eqx.field(default=None, kw_only=True)
+    friction_z: PerContact | None = eqx.field(default=None, kw_only=True)
     # None with one object: the number of the object that is touched, in the order of the scene's objects: 1, 2, ...
-    contact_object: Int[Array, "*steps whiskers"] | None = eqx.field(default=None, kw_only=True)
+    contact_object: NumberPerContact | None = eqx.field(default=None, kw_only=True)
     in_space = True
 
     @property

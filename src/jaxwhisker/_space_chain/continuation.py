@@ -7,8 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, Point, dot, scale_of, unit
+from jaxwhisker._equilibrium.point import Point, dot, scale_of, unit
 from jaxwhisker._path.continuation import Arrival, TargetPoint
 from jaxwhisker._path.march import any_lane
 from jaxwhisker._path.march_state import Target, Task
@@ -154,7 +155,7 @@ class ContinuationOfChainInSpace(ContinuationInSpace):
 
     # Margins.
 
-    def z_before(self, march: MarchInSpace, trial: Any) -> Contacts:
+    def z_before(self, march: MarchInSpace, trial: Any) -> RowsOfContacts:
         rows = (jnp.arange(self.rows) == march.target.first.row) & self._begins(march)
         return removed(trial.point.z, trial.phase, rows, self.problem.contacts)[0]
 
@@ -183,7 +184,7 @@ class ContinuationOfChainInSpace(ContinuationInSpace):
         return crossed.some, Target(crossed.number, rows, crossed.share * distance, new)
 
     def new_contact(
-        self, march: MarchInSpace, z: Contacts, candidates: Nearest, entry: Array | None = None
+        self, march: MarchInSpace, z: RowsOfContacts, candidates: Nearest, entry: Array | None = None
     ) -> NewContactInSpace:
         """The contact of a candidate, by its number among those of all whiskers; by default the deepest one."""
         contacts, gaps = self.problem.contacts, jnp.asarray(candidates.distance)

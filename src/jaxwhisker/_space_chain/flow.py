@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, Point, along
+from jaxwhisker._equilibrium.point import Point, along
 from jaxwhisker._path.march_state import Outcome, Task
 from jaxwhisker._path.path import EventKind, Node, Status, first_case, select
 from jaxwhisker._space.contact import AHEAD, FORCE, POINT, SLACK, TRACTION, Contact
@@ -132,9 +133,9 @@ def flow_onwards(
 def _with_landed(
     problem: SpaceProblem,
     march: MarchInSpace,
-    before: tuple[Contacts, PhasesOfRows],
-    after: tuple[Contacts, PhasesOfRows],
-) -> tuple[tuple[Contacts, PhasesOfRows], Bool[Array, " rows"]]:
+    before: tuple[RowsOfContacts, PhasesOfRows],
+    after: tuple[RowsOfContacts, PhasesOfRows],
+) -> tuple[tuple[RowsOfContacts, PhasesOfRows], Bool[Array, " rows"]]:
     """The contacts after a release, and those among them that whiskers meet on the way to their unloaded shapes."""
     if problem.surface.is_convex:
         return after, jnp.zeros_like(march.phase, bool)

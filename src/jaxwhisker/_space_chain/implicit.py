@@ -8,8 +8,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts
 from jaxwhisker._path.path import EventKind, Node, is_snap
 from jaxwhisker._space.contact import FORCE, SLACK, UNKNOWNS
 from jaxwhisker._space.implicit import Known, Side
@@ -23,7 +23,7 @@ def _at_control(unknowns: Float[Array, " n"], known: Known) -> Float[Array, " n"
     return jnp.ravel(residuals(known.problem, z, known.u, known.phase, known.free)[0])
 
 
-def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: PhasesOfRows) -> Contacts:
+def solved(problem: SpaceProblem, z: RowsOfContacts, u: Scalar, phase: PhasesOfRows) -> RowsOfContacts:
     """Solved contacts at a control, with their derivatives."""
     still = jax.lax.stop_gradient(z)
     unknowns = solution_of(_at_control, jnp.ravel(still), Known(problem, u, phase, still))
@@ -32,8 +32,8 @@ def solved(problem: SpaceProblem, z: Contacts, u: Scalar, phase: PhasesOfRows) -
 
 class _KnownEventOfChainInSpace(NamedTuple):
     at: Known
-    weight: Contacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
-    origin: Contacts  # the unknowns from which that sum is measured
+    weight: RowsOfContacts  # of the unknowns in a sum that vanishes; if all are zero, the control is known
+    origin: RowsOfContacts  # the unknowns from which that sum is measured
 
 
 def _at_event(unknowns: Float[Array, " n"], known: _KnownEventOfChainInSpace) -> Float[Array, " n"]:

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.rows import with_row, without_row
+from jaxwhisker._chain.rows import RowsOfContacts, with_row, without_row
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._space_chain.newton import ChainSolutionInSpace, PhasesOfRows
 from jaxwhisker._space_chain.stance import ChainStanceInSpace
 
@@ -26,10 +26,10 @@ class FlowOfChainInSpace(NamedTuple):
 
     time: Scalar  # length of the next time step
     steps: Int[Array, ""]
-    start: Contacts  # at the loss
+    start: RowsOfContacts  # at the loss
     opens: Bool[Array, ""]  # whether no contact has split on the way
     clings: Bool[Array, " rows"]  # not to come free: the unloaded shape is inside an object
-    last: Contacts  # of a whisker that has come free, just before
+    last: RowsOfContacts  # of a whisker that has come free, just before
     last_phase: PhasesOfRows
 
 
@@ -56,14 +56,16 @@ class TrialOfChainInSpace(NamedTuple):
         return self.solution.converged
 
 
-def inserted(z: Contacts, phase: PhasesOfRows, new: NewContactInSpace, contacts: int) -> tuple[Contacts, PhasesOfRows]:
+def inserted(
+    z: RowsOfContacts, phase: PhasesOfRows, new: NewContactInSpace, contacts: int
+) -> tuple[RowsOfContacts, PhasesOfRows]:
     """The contacts with a new one; those of its whisker that follow it move on by one place."""
     return with_row((z, phase), new.row, (new.contact, new.phase), contacts)
 
 
 def removed(
-    z: Contacts, phase: PhasesOfRows, rows: Bool[Array, " rows"], contacts: int
-) -> tuple[Contacts, PhasesOfRows]:
+    z: RowsOfContacts, phase: PhasesOfRows, rows: Bool[Array, " rows"], contacts: int
+) -> tuple[RowsOfContacts, PhasesOfRows]:
     """The contacts without one of these rows; those of its whisker that follow it move back by one place."""
     nothing = jnp.zeros_like(z), jnp.full_like(phase, int(Phase.free))
     return without_row((z, phase), rows, nothing, contacts)

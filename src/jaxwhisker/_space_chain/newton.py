@@ -14,8 +14,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.linear_algebra import solve
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, PathCondition, Point
+from jaxwhisker._equilibrium.point import PathCondition, Point
 from jaxwhisker._equilibrium.solver import StructuredNewton
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._rod.elastica import AbstractRod
@@ -209,14 +210,14 @@ def solve_points(
     return ChainSolutionInSpace(point, solution.aux, converged & finite & solution.aux.sound)
 
 
-def plain(z: Contacts) -> MotionOfChain:
+def plain(z: RowsOfContacts) -> MotionOfChain:
     """The motion of contacts without tractions."""
     return MotionOfChain(z, jnp.zeros(z.shape[:-2]), jnp.zeros(z.shape[:-2], bool))
 
 
 def residuals(
-    problem: SpaceProblem, z: Contacts, u: Scalar, phase: PhasesOfRows, unused: Contacts
-) -> tuple[Contacts, Float[Array, "whiskers 6"], ChainInSpace]:
+    problem: SpaceProblem, z: RowsOfContacts, u: Scalar, phase: PhasesOfRows, unused: RowsOfContacts
+) -> tuple[RowsOfContacts, Float[Array, "whiskers 6"], ChainInSpace]:
     """Residuals of all equations without tractions, coordinates of the bases, and what they are made of.
 
     They can be differentiated by everything that they depend on. `unused` are the values of places that are not used.

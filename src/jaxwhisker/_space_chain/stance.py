@@ -9,8 +9,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxwhisker._base.linear_algebra import determinant, positive_definite, solve
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import Phase
-from jaxwhisker._equilibrium.point import Contacts, Point
+from jaxwhisker._equilibrium.point import Point
 from jaxwhisker._model.drives import Placement
 from jaxwhisker._rod.elastica import Shooting
 from jaxwhisker._rod.space import SpaceSection
@@ -48,7 +49,7 @@ def steps_of(problem: SpaceProblem) -> int:
     return int(np.ceil(MORE_STEPS * problem.rod.steps)) * (1 if one.uniform else 2)
 
 
-def chains_of(problem: SpaceProblem, u: Scalar, z: Contacts, phase: PhasesOfRows) -> SegmentsInSpace:
+def chains_of(problem: SpaceProblem, u: Scalar, z: RowsOfContacts, phase: PhasesOfRows) -> SegmentsInSpace:
     """The segments of all whiskers; fields (whiskers, ...)."""
     drive = problem.drive(u)
 
@@ -66,7 +67,7 @@ def bases_of(problem: SpaceProblem, u: Scalar, pose: Float[Array, "whiskers 6"])
 
 
 def shafts_of(
-    problem: SpaceProblem, u: Scalar, pose: Float[Array, "whiskers 6"], z: Contacts, phase: PhasesOfRows
+    problem: SpaceProblem, u: Scalar, pose: Float[Array, "whiskers 6"], z: RowsOfContacts, phase: PhasesOfRows
 ) -> WholeShaftInSpace:
     """The shafts of all whiskers; fields (whiskers, ...)."""
     own = chains_of(problem, u, z, phase), of_whiskers(problem, phase), bases_of(problem, u, pose)
@@ -102,7 +103,7 @@ def stance_of(problem: SpaceProblem, point: Point, phase: PhasesOfRows, newton: 
 
 
 def spreads(
-    problem: SpaceProblem, z: Contacts, phase: PhasesOfRows, shafts: WholeShaftInSpace
+    problem: SpaceProblem, z: RowsOfContacts, phase: PhasesOfRows, shafts: WholeShaftInSpace
 ) -> Float[Array, " rows"]:
     """How fast whisker and surface part on both sides of a tangential contact, a curvature; infinite for other ones."""
 
@@ -116,7 +117,7 @@ def spreads(
 
 
 def sliding_stiffness(
-    problem: SpaceProblem, z: Contacts, phase: PhasesOfRows, newton: ChainNewtonStep
+    problem: SpaceProblem, z: RowsOfContacts, phase: PhasesOfRows, newton: ChainNewtonStep
 ) -> Float[Array, "n n"]:
     """Forces along the surface per displacement along it, two rows for each contact; see sliding.py of space.
 
