@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-RowsOfContacts = Float[Array, "rows numbers"]  # three numbers in the plane, eleven in space
+RowsOfContacts = Float[Array, "*batch rows numbers"]  # three numbers in the plane, eleven in space
 Tree = TypeVar("Tree")
 
 

@@ -34,11 +34,11 @@ class ContactPoint(NamedTuple):
         """The outward unit normal of the object."""
         return jnp.stack([self.sin, -self.cos], axis=-1)
 
-    def off(self, x: Array, y: Array) -> Array:
+    def off(self, x: Scalar | Array, y: Scalar | Array) -> Array:
         """Distances of points from the tangent, positive outside."""
         return (x - self.x) * self.sin - (y - self.y) * self.cos
 
-    def along(self, x: Array, y: Array) -> Array:
+    def along(self, x: Scalar | Array, y: Scalar | Array) -> Array:
         """Distances of points from this one along the tangent; zero for those to which it is nearest."""
         return (x - self.x) * self.cos + (y - self.y) * self.sin
 

@@ -27,6 +27,7 @@ from jaxwhisker._space.march_state import (
     RELEASE,
     SNAP,
     TOUCH,
+    AnyTrialInSpace,
     MarchInSpace,
     SpaceFlow,
     TrialInSpace,
@@ -172,13 +173,13 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
     def after_flow(self, march: MarchInSpace, trial: TrialInSpace):
         return after_flow(self.problem, march, trial)
 
-    def node(self, march: MarchInSpace, trial: TrialInSpace):
+    def node(self, march: MarchInSpace, trial: AnyTrialInSpace):
         return self._node(march, trial, trial.tangent)
 
-    def _node(self, march: MarchInSpace, trial: TrialInSpace, tangent: Point) -> Node:
+    def _node(self, march: MarchInSpace, trial: AnyTrialInSpace, tangent: Point) -> Node:
         return march.node(trial.point, tangent)
 
-    def moved(self, march: MarchInSpace, trial: TrialInSpace, moved: MarchInSpace) -> MarchInSpace:
+    def moved(self, march: MarchInSpace, trial: AnyTrialInSpace, moved: MarchInSpace) -> MarchInSpace:
         return moved.replace(
             stance=trial.stance,
             size=trial.stance.stiffness,
@@ -189,7 +190,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     # Margins.
 
-    def margins(self, march: MarchInSpace, at: MarchInSpace | TrialInSpace, stop: Scalar) -> Margins:
+    def margins(self, march: MarchInSpace, at: MarchInSpace | AnyTrialInSpace, stop: Scalar) -> Margins:
         """Margins of all kinds of events at a point on the way to a stop."""
         free, tip, z = march.phase == Phase.free, march.phase == Phase.tip, at.point.z
         touch = jnp.where(free, at.stance.nearest.distance + TOUCHING, FAR)
@@ -216,21 +217,21 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         own = [touches | ((target.number == kind) & target.whiskers) for kind in (TOUCH, RELEASE, PHASE)]
         return [*own, jnp.reshape(target.number == AT_STOP, 1)]
 
-    def before_loss(self, march: MarchInSpace, trial: TrialInSpace, distance):
+    def before_loss(self, march: MarchInSpace, trial: AnyTrialInSpace, distance):
         size = jnp.where(jnp.isfinite(march.unstable_at), march.size / 2, march.size)
         closer = march.replace(unstable_at=distance, unstable_size=trial.stance.stiffness, size=size)
         return closer.replace(step=step_to_loss(closer))
 
     # The end of a step along the path.
 
-    def accepts(self, march: MarchInSpace, trial: TrialInSpace):
+    def accepts(self, march: MarchInSpace, trial: AnyTrialInSpace):
         if self.problem.friction is not None:
             return trial.stance.sound, jnp.inf
         # A stable path goes on with the drive: there are two folds within a step that goes back.
         back = march.direction * (trial.point.u - march.point.u) < -MARGIN_NOISE
         return trial.stance.sound & ~(trial.stable & back), jnp.inf
 
-    def dip(self, march: MarchInSpace, trial: TrialInSpace, violated):
+    def dip(self, march: MarchInSpace, trial: AnyTrialInSpace, violated):
         straight = dot(march.tangent, self.measured(trial.tangent), scale_of(march.point.z))
         end = Point(trial.tangent.z / straight, trial.tangent.u)
         here, there = (self.margins(march, at, trial.stop) for at in (march, trial))
@@ -238,7 +239,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         dips, share = first_dip(here, there, leaving, arriving, march.step, MARGIN_NOISE)
         return dips & ~violated, share
 
-    def loss(self, march: MarchInSpace, trial: TrialInSpace):
+    def loss(self, march: MarchInSpace, trial: AnyTrialInSpace):
         return Loss(trial.stable, jnp.asarray(march.step < LOSS_BRACKET))
 
     def after_loss(self, march: MarchInSpace, moved: MarchInSpace, trial: TrialInSpace, node, loss):
@@ -266,7 +267,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
             jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & recedes
         )
 
-    def written(self, march: MarchInSpace, trial: TrialInSpace, node, loss: Loss):
+    def written(self, march: MarchInSpace, trial: AnyTrialInSpace, node, loss: Loss):
         # While all whiskers are free, nothing happens between events.
         plain = trial.stable & trial.stance.opens & jnp.any(march.phase != Phase.free)
         forks = ~trial.stable & loss.located & branches(march, trial)
@@ -278,7 +279,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         ends = (march.status == Status.lost) & jnp.all(march.phase == Phase.free)
         return ends & (march.travel > march.pending.travel), node
 
-    def _bifurcation(self, march: MarchInSpace, trial: TrialInSpace) -> Node:
+    def _bifurcation(self, march: MarchInSpace, trial: AnyTrialInSpace) -> Node:
         """The node where stability is lost, within a short step."""
         share = march.size / (march.size - trial.stance.stiffness)
         middle = march.point.u + share * (trial.point.u - march.point.u)
@@ -349,7 +350,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
 
     # The point of an event in its new state.
 
-    def leaves(self, march: MarchInSpace, trial: TrialInSpace, direction):
+    def leaves(self, march: MarchInSpace, trial: AnyTrialInSpace, direction):
         # The condition makes the force or the slack grow; a tangential contact that becomes a tip contact loses slack.
         number = march.target.number
         back = (number == PHASE) & jnp.any(march.target.whiskers & (march.phase == Phase.tip))
@@ -391,7 +392,7 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
             ],
         )
 
-    def ways_on(self, march: MarchInSpace, onwards: MarchInSpace, node, trial: TrialInSpace, falls):
+    def ways_on(self, march: MarchInSpace, onwards: MarchInSpace, node, trial: AnyTrialInSpace, falls):
         del node, falls
         snapped = march.target.number == SNAP
         return WaysOn([(snapped & ~trial.stable, march.stopped(Status.unsettled))], onwards, jnp.asarray(True))

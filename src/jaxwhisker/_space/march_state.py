@@ -1,12 +1,12 @@
 """What a march in space knows besides what all marches know, and what it asks about a step."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.point import Point
-from jaxwhisker._path.march_state import MarchState
+from jaxwhisker._path.march_state import MarchState, Trial
 from jaxwhisker._space.newton import Phases, SpaceSolution
 from jaxwhisker._space.problem import Contacts
 from jaxwhisker._space.slip import SlipState
@@ -39,6 +39,16 @@ class MarchInSpace(MarchState):
     def phase(self) -> Phases:
         """The phases of all whiskers."""
         return self.state.phase
+
+
+@runtime_checkable
+class AnyTrialInSpace(Trial, Protocol):
+    """The solved end of a step, with one contact or with several."""
+
+    @property
+    def stop(self) -> Scalar:
+        """The control that the drive moves to."""
+        ...
 
 
 class TrialInSpace(NamedTuple):

@@ -8,7 +8,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.transitions import LOSS_BRACKET
 from jaxwhisker._space.contact import POINT
-from jaxwhisker._space.march_state import MarchInSpace, TrialInSpace
+from jaxwhisker._space.march_state import AnyTrialInSpace, MarchInSpace
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import SpaceStance
 
@@ -23,7 +23,7 @@ def longest_step(problem: SpaceProblem, march: MarchInSpace, stance: SpaceStance
     return jnp.min(jnp.minimum(clear, jnp.where(march.phase == Phase.free, jnp.inf, even)))
 
 
-def branches(march: MarchInSpace, trial: TrialInSpace) -> Bool[Array, ""]:
+def branches(march: MarchInSpace, trial: AnyTrialInSpace) -> Bool[Array, ""]:
     """Whether a loss of stability between two points close to each other is a bifurcation, and no fold."""
     turns = march.tangent.u * trial.tangent.u < 0  # next to an edge with a small radius, a fold is very narrow
     return ~turns & (jnp.abs(march.tangent.u) >= FOLD)

@@ -26,7 +26,7 @@ from jaxwhisker._space.problem import SpaceProblem, of_each
 from jaxwhisker._space_chain.contacts import ChainAtBase, PhaseRows, Rows, at_rest, base_of_chain, last_used
 
 POSE = 6  # equations of a segment that end it at the next contact, or at the base
-PhasesOfRows = Int[Array, " rows"]
+PhasesOfRows = Int[Array, "*batch rows"]
 
 
 class MotionOfChain(NamedTuple):
