@@ -104,7 +104,7 @@ def _with_friction(
     slip = jnp.where(enters, 0, jnp.where(leaves, way, friction.slip))
     slip = jnp.where(rows & then.sticks & (way == 0) & (state.phase == before.phase), jnp.sign(limit).astype(int), slip)
     beyond = jnp.where(state.phase == Phase.tangential, slack, 0.0)
-    # RowsOfContacts that stick go on from where they are.
+    # Contacts that stick go on from where they are.
     moves = rows & then.sticks & ((state.piece != before.piece) | (state.side != before.side))
     places = jnp.where(moves, parameter, friction.parameter), jnp.where(moves, beyond, friction.beyond)
     state = state._replace(friction=Friction(slip, *places))

@@ -202,7 +202,7 @@ def slips_of(problem: ChainProblem, z: RowsOfContacts, state: ChainState) -> tup
 def landed(
     problem: ChainProblem, z: RowsOfContacts, state: ChainState, lean: PerRow
 ) -> tuple[RowsOfContacts, ChainState]:
-    """RowsOfContacts at rest after a snap, whose forces lean like this: they slip as they came to rest, or they stick there.
+    """Contacts at rest after a snap, whose forces lean like this: they slip as they came to rest, or they stick there.
 
     Without friction, they stay as they are.
     """

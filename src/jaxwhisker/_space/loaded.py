@@ -134,9 +134,10 @@ def walked(top: Top, rods: LoadedInSpace, factor: Scalar, share: np.ndarray, ste
     start = still, (w, x, y, z)
     found = walk(onwards, past, start, SpaceLoad(still, still), order.at, order.spread(0, places))
     # There is no way to the first place, which is a load or the tip, and never one of the points.
-    rotations = [jnp.append(first, rest) for first, rest in zip(start[1], found.passed[1], strict=True)]
+    rotations = jax.tree.map(jnp.append, start[1], found.passed[1])
     own = order.ranks[0][loaded]
-    given = jax.vmap(lambda load, q: load.acting(q, factor))(rods.loads, tuple(part[own] for part in rotations))
+    rotations = jax.tree.map(lambda part: part[own], rotations)
+    given = jax.vmap(lambda load, q: load.acting(q, factor))(rods.loads, rotations)
     own = order.ranks[0][points] - 1
     states, loads = jax.tree.map(lambda leaf: leaf[own], (found.passed, found.loads))
     return WalkInSpace(at[points], states, loads, lengths, given, found.end, found.load)
