@@ -73,12 +73,9 @@ def at_arc(value: AlongRod, s: Scalar) -> Float[Array, ""]:
 
 
 class Load(eqx.Module):
-    """Load on the rod at and beyond the start of the integration: force, moment about the origin; None if absent.
+    """Load on the rod at and beyond the start of the integration: force, moment about the origin; None if absent."""
 
-    Fields of the loads on several rods, or on the segments of one whisker, are stacked.
-    """
-
-    force_x: Scalar | Float[Array, "*batch"] | None
+    force_x: Scalar | Float[Array, "*batch"] | None  # stacked for several rods, or for the segments of one
     force_y: Scalar | Float[Array, "*batch"]
     moment: Scalar | Float[Array, "*batch"] | None
 

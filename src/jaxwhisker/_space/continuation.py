@@ -263,9 +263,8 @@ class ContinuationInSpace(Continuation[MarchInSpace, TrialInSpace]):
         recedes = jnp.all((distance > march.stance.nearest.distance) & (distance > PASSED))
         if not problem.surface.is_convex:  # leaving one object, or one side of it, a whisker may come to another
             recedes &= leaves(problem, trial.point.u, march.direction)
-        return (
-            jnp.all(march.phase == Phase.free) & march.touched & (march.goal > 0) & (march.goal >= trial.last) & recedes
-        )
+        free = jnp.all(march.phase == Phase.free)
+        return free & march.touched & (march.goal > 0) & (march.goal >= trial.last) & recedes
 
     def written(self, march: MarchInSpace, trial: AnyTrialInSpace, node, loss: Loss):
         # While all whiskers are free, nothing happens between events.
