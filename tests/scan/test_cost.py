@@ -28,6 +28,7 @@ from jaxwhisker._scan.slopes import event_slopes_now, events_now, solved_states_
 from operations import operations, rods, traced
 from scenes import model
 
+pytestmark = pytest.mark.unchecked  # checks of types add operations: properties of protocols are computed for them
 CONTROL = np.linspace(0.8, -1.6, 64)
 
 

@@ -16,7 +16,7 @@ from jaxwhisker._chain.newton import residuals
 from jaxwhisker._chain.problem import ChainProblem
 from jaxwhisker._chain.rows import RowsOfContacts
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, SLACK, Phase
-from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, is_snap
+from jaxwhisker._path.path import NO_EVENT, STOP, EventKind, Node, Stops, is_snap
 
 
 class KnownOfChain(NamedTuple):
@@ -131,7 +131,7 @@ def _event(problem: ChainProblem, node: Node, previous: Node, filled: Array) -> 
 
 
 def after_event(
-    problem: ChainProblem, node: Node, previous: Node, known: Any, linked: Bool[Array, ""], stops: Array
+    problem: ChainProblem, node: Node, previous: Node, known: Any, linked: Bool[Array, ""], stops: Stops
 ) -> tuple[Scalar, Places]:
     """Control of an event and where contacts stick from there on; see AfterEvent of the memory of scans."""
     new = node.state.places

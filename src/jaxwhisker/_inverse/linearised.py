@@ -23,7 +23,7 @@ from jaxwhisker._base.types import Scalar
 from jaxwhisker._inverse.channels import Channels, channels_and_slopes_now
 from jaxwhisker._inverse.parameters import hashable
 from jaxwhisker._model.assembly import AbstractScene
-from jaxwhisker._path.path import Path
+from jaxwhisker._path.path import Path, Stops
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.events import EventTable, event_table
 from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Solutions
@@ -76,7 +76,7 @@ def _memory_and_slopes(
     mechanics: type[Mechanics],
     problem: AnyProblem,
     path: Path,
-    stops: Float[Array, " stops"],
+    stops: Stops,
     directions: Float[Array, "numbers directions"],
     stop_slopes: Float[Array, "stops directions"],
 ) -> Linearised:

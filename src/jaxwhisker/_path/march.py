@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxwhisker._base import checks
 from jaxwhisker._path.continuation import Continuation, Limits
 from jaxwhisker._path.march_state import MarchState, Task
-from jaxwhisker._path.path import Path, ScanPath, Status, select
+from jaxwhisker._path.path import Last, Path, ScanPath, Status, select
 from jaxwhisker._path.transitions import after_advance, after_arrive, after_event
 
 STOPS = 8  # stops of a route with turns: so many, or twice as many, or four times ... after padding
@@ -73,9 +73,7 @@ def _(size, batched, holds):
     return any_lane(jnp.any(holds)), False
 
 
-def follow(
-    mechanics: Continuation, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None
-) -> ScanPath:
+def follow(mechanics: Continuation, stops: Float[Array, " stops"], last: Last, sweeps: int | None) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
 
     There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop.

@@ -16,6 +16,10 @@ from jaxwhisker._base import checks
 from jaxwhisker._base.types import NamedInt, Scalar
 from jaxwhisker._equilibrium.point import Contacts, Point
 
+# Where the drive starts, turns and ends, in the scene's units; padded.
+Stops = Float[Array, " stops"] | Float[np.ndarray, " stops"]
+Last = Int[Array, ""] | Int[np.ndarray, ""] | int  # index of the last stop
+
 
 class Status(NamedInt):
     """Status of a step of the scan; a step that is not `ok` holds NaN."""

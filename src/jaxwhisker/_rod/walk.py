@@ -20,6 +20,7 @@ Tree = TypeVar("Tree")
 State = TypeVar("State")
 Loading = TypeVar("Loading")
 Place = TypeVar("Place")
+Part = Scalar | Float[Array, "*forces"]
 
 
 class Order(NamedTuple):
@@ -129,8 +130,8 @@ def walk(
     return Walk(end, load, passed, loads, ways)
 
 
-def pressed(point: tuple[Scalar, Scalar], force_x: Scalar, force_y: Scalar, turn: Scalar | None = None) -> Load:
-    """The load of a force that acts at a point in the plane, and of a moment."""
+def pressed(point: tuple[Part, Part], force_x: Part, force_y: Part, turn: Part | None = None) -> Load:
+    """The load of a force that acts at a point in the plane, and of a moment; or of each of several forces."""
     x, y = point
     about_origin = x * force_y - y * force_x
     return Load(force_x, force_y, about_origin if turn is None else about_origin + turn)

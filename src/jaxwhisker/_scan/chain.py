@@ -27,7 +27,7 @@ from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.march import follow, sweeps_of
-from jaxwhisker._path.path import Node, Path, ScanPath, Status
+from jaxwhisker._path.path import Last, Node, Path, ScanPath, Status, Stops
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
 from jaxwhisker._scan.memory import Memory, memory_of, remembered
 from jaxwhisker._scan.plane import spring_lengths_now
@@ -44,9 +44,7 @@ BLOCK = 256  # steps computed by one call
 LANES = 16  # of a batch that run together
 
 
-def follow_path(
-    problem: ChainProblem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
-) -> ScanPath:
+def follow_path(problem: ChainProblem, stops: Stops, last: Last, sweeps: int | None = None) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
     return follow(ContinuationOfChain(problem), stops, last, sweeps)
@@ -84,7 +82,7 @@ class SeveralContacts(Mechanics):
     @staticmethod
     def prepare(pool: Executor, scene: Scene, problem: ChainProblem, stops: int) -> tuple[Path, Memory | None]:
         path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
-        return path, memory_of(path)
+        return path, jax.eval_shape(memory_of, path)
 
     @staticmethod
     def is_ready(problem: ChainProblem, stops: int) -> bool:
@@ -97,7 +95,7 @@ class SeveralContacts(Mechanics):
         return memory_now(SeveralContacts, problem, path, stops)
 
     @staticmethod
-    def remember(problem: ChainProblem, path: Path, stops: Float[Array, " stops"]) -> Memory | None:
+    def remember(problem: ChainProblem, path: Path, stops: Stops) -> Memory | None:
         return None if problem.friction_angle is None else remembered(after_event, problem, path, stops)
 
     @staticmethod

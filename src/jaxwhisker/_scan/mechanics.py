@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._path.path import Path, ScanPath
+from jaxwhisker._path.path import Path, ScanPath, Stops
 
 # Trees that only the mechanics look into: the dimensionless problem, what contacts with friction remember at the nodes
 # of a path (None without friction), and how whiskers touch.
@@ -85,7 +85,7 @@ class Mechanics(abc.ABC):
 
     @staticmethod
     @abc.abstractmethod
-    def remember(problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+    def remember(problem: AnyProblem, path: Path, stops: Stops) -> Memory:
         """What contacts remember at the nodes of a path with friction, with derivatives."""
 
     @staticmethod

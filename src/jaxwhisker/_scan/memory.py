@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.contact_state import Places
 from jaxwhisker._equilibrium.implicit import Sides, event_points
 from jaxwhisker._equilibrium.newton import contact_parameters
 from jaxwhisker._equilibrium.problem import Problem
-from jaxwhisker._path.path import STOP, Node, Path, event_room
+from jaxwhisker._path.path import STOP, Node, Path, Stops, event_room
 from jaxwhisker._scan.signals import event_point
 
 LINKS = 16  # changes of slips and turning points of the drive, besides the events that a scan has room for
@@ -66,7 +66,7 @@ class AfterEvent(Protocol):
     """How a mechanics finds what follows from the event at a node."""
 
     def __call__(
-        self, problem: Any, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Array
+        self, problem: Any, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Stops
     ) -> tuple[Scalar, Places]:
         """The control of the event, and where contacts stick from there on.
 
@@ -82,7 +82,7 @@ class AfterEvent(Protocol):
 
 
 @eqx.filter_custom_jvp
-def remembered(after: AfterEvent, problem: Any, path: Path, stops: Float[Array, " stops"]) -> Memory:
+def remembered(after: AfterEvent, problem: Any, path: Path, stops: Stops) -> Memory:
     """What contacts remember, with derivatives.
 
     Args:
@@ -108,9 +108,7 @@ def _(primals, tangents):
     return remembered(after, problem, path, stops), dot
 
 
-def chained(
-    after: AfterEvent, problem: Any, path: Path, stops: Float[Array, " stops"], *, events: bool = False
-) -> Memory:
+def chained(after: AfterEvent, problem: Any, path: Path, stops: Stops, *, events: bool = False) -> Memory:
     """What contacts remember, differentiable by JAX, from one event to the next.
 
     Args:
@@ -148,7 +146,7 @@ def chained(
 
 
 def after_event(
-    problem: Problem, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Float[Array, " stops"]
+    problem: Problem, node: Node, previous: Node, known: Link, linked: Bool[Array, ""], stops: Stops
 ) -> tuple[Scalar, Places]:
     """What follows from an event in the plane; see AfterEvent."""
     places = known.places

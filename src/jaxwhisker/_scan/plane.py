@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxwhisker._base import checks
 from jaxwhisker._base.primitive import LANES
@@ -25,7 +25,7 @@ from jaxwhisker._equilibrium.stability import is_stable
 from jaxwhisker._model.canonical import canonical
 from jaxwhisker._model.scene import Scene, moves_along_x
 from jaxwhisker._path.march import follow, sweeps_of
-from jaxwhisker._path.path import Node, Path, ScanPath, Status, event_room
+from jaxwhisker._path.path import Last, Node, Path, ScanPath, Status, Stops, event_room
 from jaxwhisker._plane.continuation import ContinuationInPlane
 from jaxwhisker._scan.blocks import BLOCK
 from jaxwhisker._scan.detect import Kinds, detect, kinds_of
@@ -40,9 +40,7 @@ from jaxwhisker._scan.state import State
 from jaxwhisker._scan.steps import BATCH, interpolate, is_near
 
 
-def follow_path(
-    problem: Problem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
-) -> ScanPath:
+def follow_path(problem: Problem, stops: Stops, last: Last, sweeps: int | None = None) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
 
     There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop. A path has no
@@ -94,7 +92,7 @@ class InThePlane(Mechanics):
         path = follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path
         if kinds := kinds_of(scene):
             detect_now.prepare(pool, problem, path, kinds)
-        return path, memory_of(path)
+        return path, jax.eval_shape(memory_of, path)
 
     @staticmethod
     def is_ready(problem: Problem, stops: int) -> bool:
@@ -107,7 +105,7 @@ class InThePlane(Mechanics):
         return memory_now(InThePlane, problem, path, stops)
 
     @staticmethod
-    def remember(problem: Problem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+    def remember(problem: Problem, path: Path, stops: Stops) -> Memory:
         return remembered(after_event, problem, path, stops)
 
     @staticmethod

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import along, along_each, are_few, direction_of, jacobian
-from jaxwhisker._path.path import Path
+from jaxwhisker._path.path import Path, Stops
 from jaxwhisker._scan.events import events, public_nodes
 from jaxwhisker._scan.mechanics import AnyProblem, Mechanics, Memory, Solutions
 from jaxwhisker._scan.steps import solved_states, states
@@ -65,7 +65,7 @@ def event_slopes(
     return jacobian(function, (problem.numbers(), _of_one(memory)))
 
 
-def memory_slopes(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+def memory_slopes(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Stops) -> Memory:
     """Slopes of what contacts with friction remember, by the numbers of the problem, then by the stops."""
 
     def function(numbers):
@@ -75,7 +75,7 @@ def memory_slopes(mechanics: type[Mechanics], problem: AnyProblem, path: Path, s
     return jacobian(function, (problem.numbers(), stops))
 
 
-def remember(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Float[Array, " stops"]) -> Memory:
+def remember(mechanics: type[Mechanics], problem: AnyProblem, path: Path, stops: Stops) -> Memory:
     """What contacts with friction remember at the nodes of a path, with derivatives."""
     return mechanics.remember(problem, path, jnp.asarray(stops))
 

@@ -19,7 +19,7 @@ from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
 from jaxwhisker._path.march import follow, sweeps_of
-from jaxwhisker._path.path import STOP, Node, Path, ScanPath, Status
+from jaxwhisker._path.path import STOP, Last, Node, Path, ScanPath, Status, Stops
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
 from jaxwhisker._scan.result import SpaceEvents, SpaceResult
 from jaxwhisker._scan.signals import beyond_phase
@@ -62,9 +62,7 @@ class Within(NamedTuple):
     mode: Phases
 
 
-def follow_path(
-    problem: SpaceProblem, stops: Float[Array, " stops"], last: Int[Array, ""], sweeps: int | None = None
-) -> ScanPath:
+def follow_path(problem: SpaceProblem, stops: Stops, last: Last, sweeps: int | None = None) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN.
 
     There is room for the nodes of so many `sweeps` past the object; by default, of one for each stop. A path has no
@@ -118,7 +116,7 @@ class Space(Mechanics):
         return None if problem.friction is None else memory_now(Space, problem, path, stops)
 
     @staticmethod
-    def remember(problem: SpaceProblem, path: Path, stops: Float[Array, " stops"]) -> LinkedNodes:
+    def remember(problem: SpaceProblem, path: Path, stops: Stops) -> LinkedNodes:
         return linked(problem, path, stops)
 
     @staticmethod

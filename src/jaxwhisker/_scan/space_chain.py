@@ -6,7 +6,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
@@ -15,7 +14,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._path.march import follow, sweeps_of
-from jaxwhisker._path.path import Node, Path, ScanPath, Status
+from jaxwhisker._path.path import Last, Node, Path, ScanPath, Status, Stops
 from jaxwhisker._scan.mechanics import EventSides, Solutions
 from jaxwhisker._scan.signals import beyond_phase
 from jaxwhisker._scan.space import LANES, Space, SpaceSignals
@@ -31,7 +30,7 @@ from jaxwhisker._space_chain.stance import bases_of
 EVENTS = 64  # events of one whisker that a scan has room for
 
 
-def follow_path(problem: SpaceProblem, stops: Float[Array, " stops"], last: Any, sweeps: int | None = None) -> ScanPath:
+def follow_path(problem: SpaceProblem, stops: Stops, last: Last, sweeps: int | None = None) -> ScanPath:
     """March to all stops, given in the scene's units; right across the object if the first one is NaN."""
     problem, stops = jax.lax.stop_gradient((problem, jnp.asarray(stops)))
     return follow(ContinuationOfChainInSpace(problem), stops, last, sweeps)

@@ -15,7 +15,7 @@ from jaxwhisker._base.implicit import solution_of, without_rule
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import PathCondition, Point, at_arc_length
-from jaxwhisker._path.path import STOP, EventKind, Node, Path
+from jaxwhisker._path.path import STOP, EventKind, Node, Path, Stops
 from jaxwhisker._space.contact import FORCE, SLACK, TRACTION, UNKNOWNS
 from jaxwhisker._space.march_state import SETTLED
 from jaxwhisker._space.newton import Phases
@@ -140,7 +140,7 @@ class LinkedNodes(NamedTuple):
     stages: Point  # of the steps that end there, fields (nodes, stages, ...)
 
 
-def linked(problem: SpaceProblem, path: Path, stops: Float[Array, " stops"]) -> LinkedNodes:
+def linked(problem: SpaceProblem, path: Path, stops: Stops) -> LinkedNodes:
     """The nodes of a path with friction, with their derivatives by everything, the stops of the drive included.
 
     The contacts that come to rest after a loss of stability have no derivatives.
