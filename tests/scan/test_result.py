@@ -129,19 +129,24 @@ def test_events_name_contact_and_object_if_there_may_be_several():
     assert [event.side is event.after for event in events] == [True, True, False, False, False, False]
 
 
+def changed(state, **fields):
+    """A state of an event, whose fields are NumPy arrays, with other fields."""
+    return dataclasses.replace(jax.tree.map(jnp.asarray, state), **fields)
+
+
 def test_events_of_single_contacts_concern_contact_1():
     touch, _, snap = events(3)
     assert (touch.contact, touch.object, touch.place) == (1, 1, "")
     assert (snap.contact, snap.object, snap.place) == (None, None, "")
-    several = touch._replace(after=dataclasses.replace(touch.after, contact_object=np.array([2, 0])))
+    several = touch._replace(after=changed(touch.after, contact_object=jnp.array([2, 0])))
     assert several.object == 2
     assert several._replace(whiskers=(2,)).object is None
 
 
 def test_the_contact_that_ends_may_be_any_one():
     release = scanned().events[3]
-    inner = release.before.contact_force[:, ::-1]
-    other = release._replace(before=dataclasses.replace(release.before, contact_force=inner))
+    inner = jnp.asarray(release.before.contact_force[:, ::-1])
+    other = release._replace(before=changed(release.before, contact_force=inner))
     assert other.contact == 2 and str(other).endswith("release of whisker 1 from object 2 at contact 2")
-    alone = dataclasses.replace(release.after, contact_object=None)
+    alone = changed(release.after, contact_object=None)
     assert str(release._replace(after=alone)).endswith("release of whisker 1 at contact 1")

@@ -170,7 +170,7 @@ class SeveralContacts(Mechanics):
         return control, touched & ~touches
 
     @staticmethod
-    def at_nodes(memory: Memory | None, at: Any) -> None:
+    def at_nodes(memory: Memory | None, at: Any) -> Any:
         return None if memory is None else NotImplemented
 
 

@@ -17,8 +17,8 @@ from jaxwhisker._base.interpolation import Cubic
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.quadrature import gauss, legendre, legendre_integrals
 from jaxwhisker._equilibrium.point import Point, dot, scale_of
-from jaxwhisker._equilibrium.problem import Problem
 from jaxwhisker._path.path import NO_EVENT, STOP, Path, Stops, entry_of, is_snap
+from jaxwhisker._scan.mechanics import AnyProblem
 from jaxwhisker._scan.result import Events
 from jaxwhisker._scan.steps import TRAVEL_NOISE
 
@@ -56,7 +56,7 @@ class PanelEnds(NamedTuple):
     noise: Float[Array, ""]  # travels that differ by less are taken as equal
 
 
-def ends_of(problem: Problem, path: Path) -> PanelEnds:
+def ends_of(problem: AnyProblem, path: Path) -> PanelEnds:
     """The ends of the panels of a path, from where the drive is at its first stop."""
     nodes, unit = path.nodes, jax.lax.stop_gradient(problem.unit.control)
     room = nodes.kind.shape[0]
@@ -125,7 +125,9 @@ def _slopes(path: Path, fold: Float[Array, ""], start: Int[Array, ""], stop: Int
 ends_now = Program(ends_of, frozen=True)
 
 
-def with_slopes(ends: PanelEnds, problem: Problem, path: Path, events: Events, stops: Stops) -> Float[Array, " ends"]:
+def with_slopes(
+    ends: PanelEnds, problem: AnyProblem, path: Path, events: Events, stops: Stops
+) -> Float[Array, " ends"]:
     """Controls of the ends, with their derivatives: events and stops move, other nodes stay where they are."""
     control = jnp.asarray(path.nodes.point.u)[ends.node] * problem.unit.control
     entry = entry_of(ends.event, events.count, events.control.shape[0])

@@ -177,7 +177,7 @@ class InThePlane(Mechanics):
         return control, before.touches & node.state.free
 
     @staticmethod
-    def at_nodes(memory: Memory | None, at: Any) -> None:
+    def at_nodes(memory: Memory | None, at: Any) -> Any:
         return None if memory is None else NotImplemented
 
 

@@ -11,10 +11,10 @@ from jaxwhisker._model.motion import Pose
 from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 
-PerWhisker = Float[Array, "*steps whiskers"]
+PerWhisker = Float[Array, "*whiskers"]  # (whiskers,) or (steps, whiskers); of one whisker, without this axis
 # With a last axis of contacts if whiskers may have several:
-PerContact = PerWhisker | Float[Array, "*steps whiskers contacts"]
-NumberPerContact = Int[Array, "*steps whiskers"] | Int[Array, "*steps whiskers contacts"]
+PerContact = PerWhisker | Float[Array, "*whiskers contacts"]
+NumberPerContact = Int[Array, "*whiskers"] | Int[Array, "*whiskers contacts"]
 
 
 class State(eqx.Module):
@@ -67,7 +67,7 @@ class SpaceState(eqx.Module):
     base_x: PerWhisker  # position of the base, a length
     base_y: PerWhisker
     base_z: PerWhisker
-    base_rotation: Float[Array, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
+    base_rotation: Float[Array, "*whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
     contact_force: PerContact  # size of the force of the object on the whisker
     contact_arc: PerContact  # arc length from base to contact
     contact_x: PerContact  # contact point, a length
@@ -86,22 +86,22 @@ class SpaceState(eqx.Module):
     in_space = True
 
     @property
-    def force(self) -> Float[Array, "*steps whiskers 3"]:
+    def force(self) -> Float[Array, "*whiskers 3"]:
         """Support reaction, force (fx, fy, fz)."""
         return jnp.stack([self.fx, self.fy, self.fz], axis=-1)
 
     @property
-    def moment(self) -> Float[Array, "*steps whiskers 3"]:
+    def moment(self) -> Float[Array, "*whiskers 3"]:
         """Support reaction, moment (mx, my, mz)."""
         return jnp.stack([self.mx, self.my, self.mz], axis=-1)
 
     @property
-    def own_force(self) -> Float[Array, "*steps whiskers 3"]:
+    def own_force(self) -> Float[Array, "*whiskers 3"]:
         """Support reaction, force along d1, d2 and d3 of each whisker's base."""
         return jnp.sum(self.base_rotation * self.force[..., :, None], axis=-2)
 
     @property
-    def own_moment(self) -> Float[Array, "*steps whiskers 3"]:
+    def own_moment(self) -> Float[Array, "*whiskers 3"]:
         """Support reaction, moment about d1, d2 and d3 of each whisker's base."""
         return jnp.sum(self.base_rotation * self.moment[..., :, None], axis=-2)
 
