@@ -28,6 +28,7 @@ def test_all_mechanics_answer(mechanics):
     assert not mechanics.__abstractmethods__
 
 
+@pytest.mark.unchecked  # stand-ins have only the fields that are used
 def test_friction_in_space_is_a_law_of_its_own():
     smooth, rough = (continuation_of(SimpleNamespace(friction=friction)) for friction in (None, 0.3))
     assert type(smooth) is ContinuationInSpace and type(rough) is ContinuationWithFriction

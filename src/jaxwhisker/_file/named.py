@@ -63,8 +63,9 @@ def _of_support(support: Support) -> Iterator[Call]:
     if all(np.ndim(number) == 0 and not callable(number) for number in (*stiffness, *rest)):
         if name != "follicle":
             yield name, {"stiffness": stiffness[0], "rest_length": rest[0]}
-            yield name, {"stiffness": stiffness, "rest_length": rest[0]}
-            yield name, {"stiffness": stiffness, "rest_length": rest}
+            if len(springs) > 1:
+                yield name, {"stiffness": stiffness, "rest_length": rest[0]}
+                yield name, {"stiffness": stiffness, "rest_length": rest}
         else:
             yield name, {one.axis: one.stiffness for one in springs} | {"mount": support.mount}
 
