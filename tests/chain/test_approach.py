@@ -28,4 +28,4 @@ def test_a_scan_begins_at_its_first_step_or_before_the_object():
         found = limits(problem(), jnp.asarray(first))
         assert float(clearance(problem(), found.start)) > 0
         assert 1.056 < float(found.start) < 1.2
-        assert float(found.far) < -3.0
+        assert float(found.far) < -3.0 and found.known

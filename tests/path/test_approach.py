@@ -29,7 +29,7 @@ def path(touches=TIPS, kinds=(NO_EVENT,) * 4 + (int(EventKind.release),), onward
 
 def cropped(whole=True, onwards=-1, **changes):
     """The cropped path, and where it starts and ends, for a drive to smaller controls."""
-    limits = Limits(*(-onwards * at for at in LIMITS))
+    limits = Limits(*(-onwards * at for at in LIMITS[:3]))
     found, start, stop = crop(jnp.asarray(onwards), path(onwards=onwards, **changes), limits, jnp.asarray(whole))
     return found, -onwards * float(start), -onwards * float(stop)
 
@@ -70,3 +70,12 @@ def test_it_ends_where_a_path_without_a_contact_fails():
     failed = free._replace(status=jnp.asarray(int(Status.lost)))
     _, start, stop = crop(jnp.asarray(-1), failed, LIMITS, jnp.asarray(True))
     np.testing.assert_allclose([start, stop], [-0.6 + MARGIN, -0.6 - MARGIN], atol=ROUNDING)
+
+
+def test_without_a_known_start_there_is_no_path_right_across():
+    unknown = LIMITS._replace(known=jnp.asarray(False))
+    found, start, stop = crop(jnp.asarray(-1), path(), unknown, jnp.asarray(True))
+    assert np.isnan(start) and np.isnan(stop) and found.count == 0 and found.status == Status.lost
+    # A given control may be followed nevertheless.
+    found, start, _ = crop(jnp.asarray(-1), path(), unknown, jnp.asarray(False))
+    assert np.isfinite(start) and found.count == 5 and found.status == Status.ok

@@ -2,12 +2,14 @@
 
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxwhisker as jw
 from engine import dimensionless
+from jaxwhisker._scan.scan import default_control
 from jaxwhisker._space.approach import REACH, limits_of
 from jaxwhisker._space.stance import clearance
 
@@ -21,7 +23,7 @@ TOUCH = 1e-7  # the values are rounded to as many digits
 )
 def test_a_scan_along_a_line_begins_free_and_ends_where_no_whisker_reaches(body):
     problem = dimensionless(jw.SpaceScene(jw.Whisker(), body, motion=jw.LinearDrive((-1.0, 0.1, 0.2))))
-    start, _, far = limits_of(problem, WHOLE)
+    start, _, far, _ = limits_of(problem, WHOLE)
     assert clearance(problem, start) > 0
     assert clearance(problem, start) > clearance(problem, start + 1e-3)
     assert clearance(problem, far) > REACH
@@ -41,9 +43,9 @@ def test_a_scan_that_begins_in_contact_is_approached_from_where_the_whisker_is_f
 def test_a_rotation_begins_and_ends_at_its_own_controls():
     drive = jw.WhiskDrive(start=0.8, stop=-0.5)
     problem = dimensionless(jw.SpaceScene(jw.Whisker(), jw.Sphere(0.3, (0.0, 0.7, 0.2)), motion=drive))
-    np.testing.assert_allclose(jnp.stack(limits_of(problem, WHOLE)), [0.8, -0.5, -0.5])
-    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(0.2))), [0.8, -0.5, -0.5])
-    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(1.1))), [1.1, -0.5, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, WHOLE)[:3]), [0.8, -0.5, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(0.2))[:3]), [0.8, -0.5, -0.5])
+    np.testing.assert_allclose(jnp.stack(limits_of(problem, jnp.asarray(1.1))[:3]), [1.1, -0.5, -0.5])
 
 
 def lean(angle):
@@ -125,3 +127,72 @@ def test_thinner_pegs_are_refused():
 def test_a_default_scan_that_touches_nothing_warns():
     with pytest.warns(UserWarning, match="The scan touches nothing: .*sphere r = 0.1"):
         jw.scan(jw.Scene(jw.Whisker(), jw.Sphere(0.1, (0.0, 0.9, 3.0))))
+
+
+def ring_level(x):
+    """The ring with its axis along z, and its centre at (0, 0.8, 0)."""
+    off_circle = jnp.sqrt(x[0] ** 2 + (x[1] - 0.8) ** 2 + 1e-12) - 0.4
+    return off_circle**2 + x[2] ** 2 - 0.01
+
+
+def ball_level(x):
+    return jnp.sum((x - jnp.array([30.0, 1.0, 0.1])) ** 2) - 400.0
+
+
+def waves(height):
+    return lambda x: height + 0.05 * jnp.sin(6 * x[0]) * jnp.cos(5 * x[2]) - x[1]
+
+
+def user_problem(level, inside, contacts=2):
+    return dimensionless(jw.Scene(jw.Whisker(), jw.Surface(level, inside, convex=False), contacts=contacts))
+
+
+limits_now = jax.jit(limits_of)
+
+
+@pytest.mark.parametrize(
+    ("level", "inside", "first", "last"),
+    [
+        (ring_level, (0.4, 0.8, 0.0), 0.5, -0.5),
+        (ball_level, (30.0, 1.0, 0.1), 50.0, 10.0),  # forty lengths across
+    ],
+    ids=["ring", "ball"],
+)
+def test_scans_past_a_user_defined_object_begin_and_end_near_it(level, inside, first, last):
+    problem = user_problem(level, inside)
+    limits = limits_now(problem, WHOLE)
+    assert limits.known
+    # Places away from the middle of the object are ever farther apart, by a tenth of their distance.
+    middle = (first + last) / 2
+    assert first < limits.start < first + 0.1 + 0.25 * (first - middle)
+    assert REACH < last - limits.far < 4 * REACH
+    assert clearance(problem, limits.start) > 0 and clearance(problem, limits.far) > REACH
+
+
+def test_scans_before_a_wall_with_waves_begin_on_its_free_side():
+    problem = user_problem(lambda x: x[0] + 0.6 + 0.05 * jnp.sin(6 * x[1]) - 0.3 * x[1], (-3.0, 0.5, 0.1))
+    limits = limits_now(problem, WHOLE)
+    assert limits.known and -0.3 < limits.start < 0.3
+
+
+@pytest.mark.parametrize("height", [0.9, 1.2], ids=["within reach", "just out of reach"])
+def test_an_object_without_an_end_along_the_drive_has_no_known_start(height):
+    assert not limits_now(user_problem(waves(height), (0.0, 3.0, 0.0)), WHOLE).known
+
+
+def test_in_a_hollow_a_scan_starts_at_its_first_position():
+    problem = user_problem(ring_level, (0.4, 0.8, 0.0), contacts=1)
+    assert limits_now(problem, jnp.asarray(0.0)).start > 0.5  # the shaft would run through the tube
+    around = dimensionless(jw.Scene(jw.Whisker(), jw.Torus(2.0, 0.1, (0.0, 0.5, 0.0))))
+    for start in (0.5, -1.5):
+        assert limits_now(around, jnp.asarray(start)).start == start
+    assert limits_now(around, WHOLE).start > 2.0
+
+
+def test_right_across_an_object_without_an_end_a_control_must_be_given():
+    scene = jw.Scene(jw.Whisker(), jw.Plane((0.0, 0.9, 0.0), (0.0, -1.0, 0.0)))
+    with pytest.raises(ValueError, match="`control` must be given for this scene: however far the drive moves back"):
+        jw.scan(scene)
+    with pytest.raises(ValueError, match="`control` must be given"):
+        default_control(scene)
+    assert np.all(np.asarray(jw.scan(scene, [0.3, 0.0]).status) == jw.Status.lost)

@@ -59,7 +59,7 @@ def limits_of(problem: ChainProblem, first_stop: Scalar) -> Limits:
     far = middle + onwards * (behind + REACH * jnp.max(problem.length) + softness)
     here = ~whole & (each[0, 0] > CLEAR)
     start = jnp.where(here, middle, middle - onwards * before)
-    return Limits(start, far, far)
+    return Limits(start, far, far, each[0, -1] > 2 * MARGIN)
 
 
 def has_passed(problem: ChainProblem, march: MarchOfChain, trial: TrialOfChain) -> Bool[Array, ""]:

@@ -74,6 +74,11 @@ class AbstractSurface(eqx.Module):
         size = _norm(gradient)
         return self.level(x) / size, gradient / size
 
+    @property
+    def has_planes(self) -> bool:
+        """Whether such planes are known."""
+        return True
+
     def ball_before(self, x: Point) -> tuple[Float[Array, ""], Point]:
         """A ball around a point that the object does not enter: its radius, and the direction away from the object.
 
@@ -200,6 +205,10 @@ class Placed(AbstractSurface):
     @property
     def is_convex(self):
         return self.surface.is_convex
+
+    @property
+    def has_planes(self):
+        return self.surface.has_planes
 
     def plane_before(self, x):
         turn, x = self._before(x)

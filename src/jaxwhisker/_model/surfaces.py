@@ -56,6 +56,10 @@ class Surfaces(AbstractSurface):
     def hessian(self, x):
         return self._of_nearest(x, lambda one: one.hessian(x))
 
+    @property
+    def has_planes(self):
+        return all(one.has_planes for one in self.each)
+
     def plane_before(self, x):
         raise NotImplementedError
 

@@ -30,8 +30,8 @@ class Surface(AbstractSurface):
             able to trace it. The parameters of an `equinox.Module` are differentiable; a plain function is constant.
         inside: (x, y, z) of a point inside, lengths.
         convex: whether the object is strictly convex. If not, a whisker may touch it in several places, for which the
-            scene needs `contacts=2` or more. Details must then be larger than about a fortieth of the whisker, and
-            scans along a line begin 128 lengths away.
+            scene needs `contacts=2` or more. Details must then be larger than about a fortieth of the whisker. Right
+            across an object that reaches beyond 126 lengths of the whisker along the drive, a scan needs a `control`.
 
     Raises:
         ValueError: if `function` is not a function of one array that JAX can trace, does not return one number, or is
@@ -66,8 +66,12 @@ class Surface(AbstractSurface):
     def is_convex(self):
         return self.convex
 
+    @property
+    def has_planes(self):
+        return self.convex
+
     def plane_before(self, x):
-        if not self.convex:  # none is known
+        if not self.convex:
             return jnp.asarray(-1.0), self.normal(x)
         # The level may be anything far from the surface. The tangent plane in the direction of the point will do.
         inside = self.interior_point()

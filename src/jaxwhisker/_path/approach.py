@@ -13,7 +13,10 @@ MARGIN = 0.01  # of the default control before the first touch and after the las
 def crop(
     onwards: Int[Array, ""], path: Path, limits: Limits, whole: Array
 ) -> tuple[Path, Float[Array, ""], Float[Array, ""]]:
-    """The path, and the first and last control at which whiskers touch on it, with a margin."""
+    """The path, and the first and last control at which whiskers touch on it, with a margin.
+
+    There is no path, and no such range, right across an object whose extent along the drive is not known.
+    """
     nodes = path.nodes
     known = jnp.any(nodes.state.phase != Phase.free, axis=1) | (nodes.kind >= 0)
     place = jnp.arange(nodes.kind.shape[0])
@@ -27,4 +30,7 @@ def crop(
     last = jnp.minimum(last, onwards * limits.far)
     start, stop = onwards * first, onwards * last
     travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
-    return path._replace(nodes=nodes._replace(travel=travel)), start, stop
+    lost = whole & ~jnp.asarray(limits.known)
+    start, stop = (jnp.where(lost, jnp.nan, control) for control in (start, stop))
+    count, status = jnp.where(lost, 0, path.count), jnp.where(lost, Status.lost, path.status)
+    return Path(nodes._replace(travel=travel), count, status), start, stop

@@ -22,6 +22,7 @@ class Limits(NamedTuple):
     start: Scalar
     end: Scalar
     far: Scalar
+    known: Any = True  # whether whiskers are known to be free at the start, and on the way to it
 
 
 class Loss(NamedTuple):

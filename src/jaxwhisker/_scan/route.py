@@ -93,8 +93,18 @@ def route_through(control: Control) -> tuple[Route, Int[Array, ""] | None]:
     return route_of(still)._replace(control=control, stops=control[stops_of(still)]), None
 
 
+def check_extent(start: Float[Array, ""]) -> None:
+    """Raise an error if the default control, which has this start, is not known."""
+    if not checks.is_traced(start) and math.isnan(float(start)):
+        raise ValueError(
+            "`control` must be given for this scene: however far the drive moves back, whiskers are not known to be "
+            "clear of the object."
+        )
+
+
 def default_positions(start: float, stop: float, unit: Units) -> np.ndarray:
     """The positions of the default control from `start` to `stop`, in the unit of the control."""
+    check_extent(jnp.asarray(start))
     step = STEP * float(unit.control)
     count = max(2, int(np.ceil(abs(stop - start) / step)) + 1)
     if count > MOST_STEPS:

@@ -30,6 +30,7 @@ from jaxwhisker._scan.route import (
     TRACED_STEPS,
     Route,
     across,
+    check_extent,
     default_positions,
     evenly_now,
     route_of,
@@ -69,7 +70,8 @@ def scan(scene: Any, control: Control | None = None) -> Any:
 
     Raises:
         ValueError: if a concrete argument is invalid, if the default control would have more than a million steps
-            (springs so soft that the drive travels a thousand lengths), if a whisker is so curved that it would touch
+            (springs so soft that the drive travels a thousand lengths) or the object's extent along the drive is not
+            known, if a whisker is so curved that it would touch
             in two places, or if JAX is in float32 mode.
 
     Warns:
@@ -132,6 +134,7 @@ def _scan(scene: AbstractScene, control: Control | None, steps: int | None = Non
     path, start, stop = path_along(mechanics, scene, problem, route, status)
     memory = mechanics.memory(problem, path, np.zeros(2) if route is None else route.stops)
     if route is None:
+        check_extent(start)
         warn_of_no_touch(path.nodes.state.phase, path.status, scene)
         route = _route_across(start, stop, steps, problem)
 
