@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import pegs
 import several
 from jaxwhisker._explore.hosts import _asset, served
 from jaxwhisker._explore.session import Session
@@ -594,4 +595,18 @@ def test_all_contacts_of_a_whisker_are_shown(driver):
     result = jw.scan(several.circles(), np.array([0.3, u]))
     exact = np.asarray(result.contact_arc[1, 0])
     np.testing.assert_allclose([float(arc) for arc in arcs.split(", ")], exact, atol=10 * SHOWN)
+    assert [entry["message"] for entry in driver.get_log("browser")] == []
+
+
+def test_all_contacts_of_a_whisker_in_space_are_shown(driver):
+    def two_pegs(tilt=0.2):
+        return pegs.scene(((tilt, 0.1, 1.0), (-0.3, 0.0, 1.0)))
+
+    with served(Session(two_pegs, {"tilt": (0.1, 0.3, 0.2)})) as url:
+        driver.get(url)
+        settle(driver)
+        set_slider(driver, "drive", 0.29)
+        time.sleep(0.2)
+        phase = numbers(driver)[0]
+    assert phase == "tip, tangential"
     assert [entry["message"] for entry in driver.get_log("browser")] == []

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxwhisker as jw
+import pegs
 from jaxwhisker._explore.code import code_of
 from jaxwhisker._explore.picture import SCAN_STEPS, packed_picture
 from jaxwhisker._explore.space_picture import VIEWS, picture_in_space
@@ -151,3 +152,13 @@ def test_a_contact_with_friction_has_pictures():
     push = (head - tail) / np.linalg.norm(head - tail, axis=1)[:, None]
     normal = np.array([0.0, 1.3, -0.5]) - head  # of the object, inward; the radius is 1
     np.testing.assert_allclose(np.sum(push * -normal, axis=1), 1 / np.hypot(1.0, 0.3), rtol=1e-4)
+
+
+def test_all_contacts_are_sent():
+    _, arrays = sent(pegs.scene())
+    both = np.sum(arrays["phase"].reshape(SCAN_STEPS, 2) != 0, axis=1) == 2
+    assert both.sum() > 10 and arrays["contacts"].shape[1:] == (2, 3) and arrays["forces"].shape[1:] == (2, 2, 3)
+    assert np.isfinite(arrays["forces"][both]).all()
+    # Each contact goes on in its own way, of which some are drawn in the place of another.
+    assert arrays["ways"].shape == arrays["contacts"].shape
+    np.testing.assert_allclose(np.sort(arrays["ways"][both], axis=1), np.sort(arrays["contacts"][both], axis=1))

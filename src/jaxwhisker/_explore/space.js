@@ -166,7 +166,8 @@ function hiding({ normals, offsets, part }, eye) {
 function drawSpace(canvas, picture, step, failure, angles) {
   const sheet = cleared(canvas);
   const { context, width, ink } = sheet;
-  const { whiskers, points, steps, line: lines, drive, directors, contacts, forces } = picture;
+  const { whiskers, points, steps, line: lines, drive, directors, contacts, ways, forces } = picture;
+  const most = contacts.length / (3 * steps * whiskers); // contacts of a whisker
   const camera = cameraAt(angles);
   const project = projection(sheet, picture.window, camera);
   const hidden = hiding(picture, camera.eye);
@@ -198,8 +199,9 @@ function drawSpace(canvas, picture, step, failure, angles) {
     context.fillStyle = ink;
     drawWindow(sheet, picture, project, camera.eye);
     if (picture.corners) drawBody(sheet, picture, project, camera.eye);
-    for (let whisker = 0; whisker < whiskers; whisker++) {
-      solid(contacts, steps, (k) => k * whiskers + whisker, colour(whisker, ink), 1, [1, 4]);
+    for (let contact = 0; contact < whiskers * most; contact++) {
+      const style = colour(Math.floor(contact / most), ink);
+      solid(ways, steps, (k) => k * whiskers * most + contact, style, 1, [1, 4]);
     }
     const image = make("canvas", { width: canvas.width, height: canvas.height });
     image.getContext("2d").drawImage(canvas, 0, 0);
@@ -228,9 +230,11 @@ function drawSpace(canvas, picture, step, failure, angles) {
     });
     solid(lines, points, (k) => at * points + k, style, 2.5);
     point(base, 0, style, 4);
-    point(contacts, at, style, 3);
-    const [tail, head] = [project(forces, 2 * at), project(forces, 2 * at + 1)];
-    if (Number.isFinite(tail[0])) arrowBetween(tail, head, style, { width: 1.8 });
+    for (let contact = at * most; contact < (at + 1) * most; contact++) {
+      point(contacts, contact, style, 3);
+      const [tail, head] = [project(forces, 2 * contact), project(forces, 2 * contact + 1)];
+      if (Number.isFinite(tail[0])) arrowBetween(tail, head, style, { width: 1.8 });
+    }
   }
   if (failure) {
     [context.fillStyle, context.textAlign] = [ink, "center"];

@@ -11,6 +11,7 @@ from jaxwhisker._scan.quantities import REACTIONS_IN_SPACE, UnitSystem, quantity
 from jaxwhisker._scan.result import SpaceResult
 from jaxwhisker._scan.scan import scan_across
 from jaxwhisker.plot.body import Body
+from jaxwhisker.plot.contacts_in_space import ways_of
 from jaxwhisker.plot.signals import LEAST_HEIGHT
 from jaxwhisker.plot.space import DIRECTOR, NAME_PLACES, SpaceDrawing, drawings, surroundings
 from jaxwhisker.plot.view import CAMERA, shades_of
@@ -35,6 +36,7 @@ class SpacePicture(NamedTuple):
             "drive": drawn.drive,
             "directors": drawn.directors,
             "contacts": drawn.contacts,
+            "ways": ways_of(drawn.contacts, drawn.whiskers.shape[1]),
             "forces": drawn.forces,
         }
         arrays |= {f"spring_{k}": line for k, line in enumerate(drawn.springs)}

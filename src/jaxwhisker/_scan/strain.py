@@ -23,7 +23,7 @@ from jaxwhisker._model.whisker import Whisker
 from jaxwhisker._rod import rod
 from jaxwhisker._rod.rod import Along
 from jaxwhisker._scan.blocks import BLOCK, in_blocks
-from jaxwhisker._scan.contacts import check_one_contact, has_several, of_whisker, past_contacts, with_axis_of_contacts
+from jaxwhisker._scan.contacts import has_several, of_whisker, past_contacts, with_axis_of_contacts
 from jaxwhisker._scan.result import AbstractResult, check_not_batched
 from jaxwhisker._scan.springs import Held, Holds, hanging, held, holds, moment_at
 from jaxwhisker._scan.state import SpaceState, State, base_of, material, state_of
@@ -61,8 +61,6 @@ def bending(result: Any, at: Any) -> Bending:
     """
     checks.instance("result", result, AbstractResult, "the Result of a scan")
     check_not_batched(result, "the result of a single scan")
-    if result.scene.in_space:
-        check_one_contact("result", result.scene)
     checks.vector("at", at)
     scene: Any = result.scene
     if not checks.is_traced((at, scene.whiskers)):
@@ -70,10 +68,11 @@ def bending(result: Any, at: Any) -> Bending:
         if np.min(at) < 0 or np.max(at) > length:
             checks.fail("at", f"arc lengths between 0 and {length:g}, the length of the longest whisker", at)
     whiskers, by = jax.tree.map(checks.as_float, (scene.whiskers, holds(scene)))
+    past = jax.tree.map(checks.as_float, scene.surface) if scene.in_space and has_several(result) else None
     at = _as_array(at)
 
     def block(state: Any, control: Any) -> Bending:
-        return _bending(state, whiskers, by, None if by is None else control, at)
+        return _bending(state, whiskers, by, None if by is None else control, past, at)
 
     return in_blocks(block, (state_of(result), result.control), BLOCK)
 
@@ -133,10 +132,14 @@ def _bending(
     whiskers: tuple[Whisker, ...],
     by: Holds | None,
     control: Float[Array, " steps"] | None,
+    past: Any,
     at: Along,
 ) -> Bending:
+    """Bending at places; in space with several contacts, `past` is the surface that has them."""
     in_space = isinstance(state, SpaceState)
-    if in_space:
+    if past is not None:
+        from jaxwhisker._space_chain.shape import bending_past_contacts
+    elif in_space:
         from jaxwhisker._space.shape import bending_of
 
     def one(state: Any, control: Scalar | None) -> Bending:
@@ -145,8 +148,10 @@ def _bending(
             each = [*held(by, whiskers, control, state.shaft_loads)[0]]
         found = []
         for k, (whisker, own) in enumerate(zip(whiskers, each, strict=True)):
-            if in_space:
-                of_state = jax.tree.map(lambda field, k=k: field[k], state)
+            of_state = jax.tree.map(lambda field, k=k: field[k], state) if in_space else None
+            if past is not None:
+                bent = bending_past_contacts(whisker, past, of_state, at, INTERVALS)
+            elif in_space:
                 bent = bending_of(whisker, of_state, at, INTERVALS, None if by is None else by.gravity)
             else:
                 moment = _moments(whisker, of_whisker(state, k), at, own)

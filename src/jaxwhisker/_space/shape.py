@@ -136,7 +136,7 @@ def bending_of(
     r, q = points(start, -arc, load, section, at=order.at, from_base=jnp.zeros_like(arc))
     r, q = jax.tree.map(lambda leaf: leaf[order.ranks[1]], (r, q))
     moment = jnp.stack(turned(inverse_rotation(q), load.moment_at(r)), axis=-1)
-    return _with_change(section, s, jnp.where((touches & (s < arc))[:, None], moment, 0.0))
+    return with_change(section, s, jnp.where((touches & (s < arc))[:, None], moment, 0.0))
 
 
 def _bending_under_weight(
@@ -153,10 +153,10 @@ def _bending_under_weight(
     moment = jnp.stack(turned(inverse_rotation(q), load.moment_at(r)), axis=-1)
     inner, outer = moment[: every.size], moment[every.size + 1 :]
     moment = jnp.where((every[order] < arc)[:, None], inner, outer)[jnp.argsort(order)]
-    return _with_change(section, s, moment[ends.size :])
+    return with_change(section, s, moment[ends.size :])
 
 
-def _with_change(section: SpaceSection, s: rod.Along, moment: Array) -> tuple[Array, Array]:
+def with_change(section: SpaceSection, s: rod.Along, moment: Array) -> tuple[Array, Array]:
     """Internal moments at places, and the changes of curvature by them."""
     about_tangent = 1.0 if section.excess is None else 1 + section.excess
     sideways = 1.0 if section.lateral_ratio is None else 1 / section.lateral_ratio

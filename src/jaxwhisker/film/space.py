@@ -12,6 +12,7 @@ from jaxwhisker._scan.shapes import shapes_of
 from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker.film.frames import FILMED_POINTS, Frames, Mark, first_steps
 from jaxwhisker.plot import space
+from jaxwhisker.plot.contacts_in_space import contacts_of
 from jaxwhisker.plot.runs import events_of, places_of_events
 from jaxwhisker.plot.view import RING, VIEWS, Drawn, check_view, picture
 
@@ -74,8 +75,9 @@ class SpaceStage:
         return self._picture.line(np.full((1, 3), np.nan), color=own, **RING)
 
     def contact(self, state: SpaceState, whisker: int) -> np.ndarray:
-        """The contact point of a whisker, as a row."""
-        return self._scale * space.contacts_of(state, float(self._system.natural.length))[None, whisker]
+        """The contact point of a whisker, as a row; those of several contacts, NaN where it has none."""
+        points = self._scale * contacts_of(state, float(self._system.natural.length))
+        return points.reshape(len(state.fx), -1, 3)[whisker]
 
     def move(self, frame: int) -> None:
         """Move all artists to a frame."""

@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._model.drives import Placement, SpaceMotion, mount_in_space, placement_of
 from jaxwhisker._model.motion import AbstractMotion
 from jaxwhisker._model.quadrics import Sphere
@@ -23,18 +22,17 @@ from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.spring import AXES_IN_SPACE
 from jaxwhisker._model.surface import AbstractSurface
 from jaxwhisker._scan.array import Array as WhiskerArray
-from jaxwhisker._scan.contacts import check_one_contact
 from jaxwhisker._scan.quantities import UnitSystem
 from jaxwhisker._scan.result import SpaceResult
-from jaxwhisker._scan.shapes import PADDING, SpaceShapes, shapes_of
+from jaxwhisker._scan.shapes import SpaceShapes, shapes_of
 from jaxwhisker._scan.space import free_state_now, problem_now
 from jaxwhisker._scan.state import SpaceState, state_of
 from jaxwhisker._space.approach import limits_of
 from jaxwhisker._space.problem import SpaceProblem
 from jaxwhisker._space.stance import distance
-from jaxwhisker._space.weight import total_weights
 from jaxwhisker.plot.axes import OBJECT, SUPPORT, colour, legend_above
 from jaxwhisker.plot.body import Body, Points, body_of
+from jaxwhisker.plot.contacts_in_space import contacts_of, padded, pushes_of, ways_of
 from jaxwhisker.plot.drawing import (
     AMPLITUDE,
     COIL,
@@ -59,8 +57,6 @@ ANYWHERE = Sphere(1.0, (0.0, 0.0, 0.0))  # the object of scenes that are drawn w
 LEAST_DEPTH = 0.35  # of the window around an array, as a share of its longest side
 MOST_NAMES = 9  # whiskers of an array that a legend names
 
-weights_now = Program(total_weights)
-
 
 class SpaceDrawing(NamedTuple):
     """A state without the object, or several ones."""
@@ -69,8 +65,9 @@ class SpaceDrawing(NamedTuple):
     whiskers: Float[np.ndarray, "*steps whiskers points 3"]  # centre lines from base to tip
     directors: Float[np.ndarray, "*steps whiskers 3 3"]  # columns: d1, d2 and the tangent d3 at the base
     springs: tuple[Float[np.ndarray, "*steps _ 3"], ...]  # in the order of the support
-    contacts: Float[np.ndarray, "*steps whiskers 3"]  # NaN where a whisker is free or unknown
-    forces: Float[np.ndarray, "*steps whiskers 2 3"]  # tail and head of arrows, NaN likewise
+    # Those of one whisker after those of another, and NaN where there is none, or it is unknown.
+    contacts: Float[np.ndarray, "*steps contacts 3"]
+    forces: Float[np.ndarray, "*steps contacts 2 3"]  # tail and head of arrows
 
     def at(self, step: int) -> "SpaceDrawing":
         """One of several states."""
@@ -125,15 +122,13 @@ def draw_array(array: WhiskerArray, surface: AbstractSurface | None, units: str,
 
 def draw_shapes(result: SpaceResult, steps: Sequence[int], system: UnitSystem, view: Any, ax: Axes | None) -> Axes:
     """Draw steps of a scan in space, and the way of its contacts; see `states.shapes`."""
-    check_one_contact("result", result.scene)
     view = check_view(view, ax)
-    way = contacts_of(result, float(system.natural.length))
+    way = ways_of(contacts_of(result, float(system.natural.length)), len(result.scene.whiskers))
     return _draw(drawings(result, np.asarray(steps)), system, picture(view, ax), way)
 
 
 def drawings(result: SpaceResult, steps: np.ndarray, points: int = LINE_POINTS) -> SpaceDrawing:
     """Geometry of steps of a scan; its largest contact force has the longest arrow."""
-    check_one_contact("result", result.scene)
     states = jax.tree.map(lambda leaf: np.asarray(leaf)[steps], state_of(result))
     control = np.asarray(result.control)[steps]
     lines = shapes_of(result.scene, states, control, points=points)
@@ -154,7 +149,7 @@ def drawing(
     Args:
         scene: scene of the states.
         control: control of the drive, in the scene's units.
-        state: a state with fields (*steps, whiskers) in the scene's units.
+        state: a state with fields (*steps, whiskers) in the scene's units, and those of contacts.
         lines: centre lines (*steps, whiskers, points) in the scene's units; by default those of the states.
         largest: contact force with the longest arrow; by default the largest one of the states.
     """
@@ -163,9 +158,7 @@ def drawing(
         lines = shapes_of(scene, state, control, points=LINE_POINTS)
     whiskers = np.stack([lines.x, lines.y, lines.z], axis=-1) / size
     contacts = contacts_of(state, size)
-    push = -np.stack([state.fx, state.fy, state.fz], axis=-1)
-    if scene.gravity is not None:
-        push -= np.asarray(weights_now(*jax.tree.map(checks.as_float, (scene.whiskers, scene.gravity))))
+    push = pushes_of(scene, state)
     force = np.linalg.norm(push, axis=-1)
     most = float(np.nan_to_num(force).max()) if largest is None else largest
     arrows = arrow_length(np.nan_to_num(force), most)[..., None] * push / np.where(force > 0, force, np.nan)[..., None]
@@ -178,12 +171,6 @@ def drawing(
         contacts,
         np.stack([contacts - arrows, contacts], axis=-2),
     )
-
-
-def contacts_of(state: SpaceState, size: float) -> Float[np.ndarray, "*steps whiskers 3"]:
-    """Contact points in a unit of length; NaN where whiskers are free."""
-    points = np.stack([state.contact_x, state.contact_y, state.contact_z], axis=-1) / size
-    return np.where((np.asarray(state.phase) != Phase.free)[..., None], points, np.nan)
 
 
 def rest_state(scene: SpaceScene, control: float) -> SpaceState:
@@ -200,8 +187,7 @@ def rest_state(scene: SpaceScene, control: float) -> SpaceState:
 
 def _placed(scene: SpaceScene, control: Float[np.ndarray, "*steps"]) -> Placement:
     """The frames of the drive at one or several controls, in the scene's units."""
-    padded = np.pad(control.ravel(), (0, -control.size % PADDING), mode="edge")
-    placed = _placements(jax.tree.map(checks.as_float, scene.motion), padded)
+    placed = _placements(jax.tree.map(checks.as_float, scene.motion), padded(control.ravel()))
     return jax.tree.map(lambda leaf: np.asarray(leaf)[: control.size].reshape(*control.shape, *leaf.shape[1:]), placed)
 
 
@@ -285,6 +271,7 @@ class SpaceArtists:
 
     def __init__(self, view: Flat | Turned, first: SpaceDrawing, body: Body | None, scale: float, springs: Any):
         own = [colour(k) for k in range(len(first.whiskers))]
+        of_contacts = [colour(k) for k in whisker_of_contacts(first)]
         dot, self._scale = {"linestyle": "none", "marker": "o", "zorder": 4}, scale
         square = {"marker": "s", "markersize": 8, "markerfacecolor": OBJECT, "markeredgecolor": SUPPORT, "zorder": 1.5}
         self._drive = view.line(first.drive, linestyle="none", label="drive", **square)
@@ -302,9 +289,10 @@ class SpaceArtists:
             view.line(line[:1], color=c, markersize=5, **dot) for line, c in zip(first.whiskers, own, strict=True)
         ]
         self._contacts = [
-            view.line(point[None], color=c, markersize=4, **dot) for point, c in zip(first.contacts, own, strict=True)
+            view.line(point[None], color=c, markersize=4, **dot)
+            for point, c in zip(first.contacts, of_contacts, strict=True)
         ]
-        self._forces = [view.arrow(ends, c) for ends, c in zip(first.forces, own, strict=True)]
+        self._forces = [view.arrow(ends, c) for ends, c in zip(first.forces, of_contacts, strict=True)]
 
     @property
     def parts(self) -> list[Any]:
@@ -335,8 +323,8 @@ def _draw(drawn: SpaceDrawing, system: UnitSystem, view: Flat | Turned, way: np.
     if body is not None:
         view.body(body)
     if way is not None:
-        for k in range(way.shape[1]):
-            view.line(scale * way[:, k], body, color=colour(k), linewidth=1, linestyle=":", zorder=2.5)
+        for k, whisker in enumerate(whisker_of_contacts(drawn)):
+            view.line(scale * way[:, k], body, color=colour(whisker), linewidth=1, linestyle=":", zorder=2.5)
     *before, last = (drawn.at(step).scaled(scale) for step in range(len(drawn.drive)))
     for age, one in enumerate(before):
         style: dict[str, Any] = {
@@ -356,6 +344,12 @@ def _draw(drawn: SpaceDrawing, system: UnitSystem, view: Flat | Turned, way: np.
     named = [line for line in view.ax.get_lines() if str(line.get_label()).startswith("whisker")]
     legend_above(view.ax, named)
     return view.ax
+
+
+def whisker_of_contacts(drawn: SpaceDrawing) -> list[int]:
+    """The number of the whisker, from 0, of each contact."""
+    whiskers, contacts = drawn.whiskers.shape[-3], drawn.contacts.shape[-2]
+    return [k * whiskers // contacts for k in range(contacts)]
 
 
 def _across(along: np.ndarray, towards: np.ndarray) -> float:
