@@ -50,6 +50,7 @@ def test_a_taper_reversals_and_failed_steps(result):
     assert np.ma.getmaskarray(np.ma.masked_invalid(holes))[:, 60:90].all()
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("options", "message"),
     [

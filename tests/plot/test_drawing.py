@@ -85,7 +85,7 @@ def test_a_scaled_drawing_keeps_angles_and_line_widths(turned):
 
 
 def test_every_contact_has_an_arrow():
-    scanned, step = several.scanned(), several.BOTH[1]
+    scanned, step = several.scanned(), int(several.BOTH[1])
     both, one = (drawing.drawing_at(scanned, k).arrows for k in (step, 20))
     for contact, arrow in enumerate(both):
         np.testing.assert_allclose(

@@ -223,6 +223,7 @@ def test_large_arrays_have_no_legend():
     assert plot.scene(jw.Array({"length": [1.0] * 12})).get_legend() is None
 
 
+@pytest.mark.unchecked
 def test_objects_belong_to_arrays():
     with pytest.raises(ValueError, match="`surface` must be None for a Scene"):
         plot.scene(ARRAY.scene("front", BALL), surface=BALL)

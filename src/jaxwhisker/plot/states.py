@@ -49,7 +49,7 @@ BESIDE = 0.5  # distance from the vertex of an object to both sides up to which 
 def scene(
     setup: AbstractScene | WhiskerArray,
     *,
-    surface: AbstractSurface | None = None,
+    surface: AbstractSurface | tuple[AbstractSurface, ...] | None = None,
     view: Any = None,
     units: str = "auto",
     ax: Axes | None = None,
@@ -249,7 +249,7 @@ def in_words(result: Run, at: float) -> str:
     return ", ".join(f"{k + 1}: {_phases_in_words(phase)}" for k, phase in enumerate(np.asarray(result.phase)[step]))
 
 
-def _phases_in_words(phase: np.ndarray) -> str:
+def _phases_in_words(phase: np.ndarray | np.integer) -> str:
     """The phase of a whisker, or those of its contacts."""
     contacts = np.atleast_1d(phase)
     touching = contacts[contacts != Phase.free]
