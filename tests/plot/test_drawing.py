@@ -93,7 +93,7 @@ def test_every_contact_has_an_arrow():
         )
     force = np.asarray(scanned.contact_force[step, 0])
     lengths = [np.hypot(*np.subtract(arrow.head, arrow.tail)) for arrow in both]
-    largest = np.max(scanned.contact_force)
+    largest = float(np.max(scanned.contact_force))
     np.testing.assert_allclose(lengths, drawing.arrow_length(force, largest))
     assert len(both) == len(one) == 2 and one[1] is None
 

@@ -34,7 +34,7 @@ class Gains(NamedTuple):
 
         def has_own(whisker: int, channel: int) -> bool:
             signal = own.get(self.names[channel])
-            return signal is not None and self.matrix is not None and self.matrix[whisker, channel, signal] != 0
+            return signal is not None and self.matrix is not None and bool(self.matrix[whisker, channel, signal])
 
         return np.array([self.names[r] != self.signals[c] and has_own(w, r) for w, r, c in self.unknown], bool)
 

@@ -85,10 +85,10 @@ def scene(
     if isinstance(setup, WhiskerArray):
         from jaxwhisker.plot.space import draw_array
 
-        if surface is not None:
-            surface = as_one_surface(surface)
-            checks.instance("surface", surface, AbstractSurface, "a surface, such as a Sphere, or a tuple of surfaces")
-        return draw_array(setup, surface, units, view, ax)
+        body = as_one_surface(surface)
+        if body is not None:
+            checks.instance("surface", body, AbstractSurface, "a surface, such as a Sphere, or a tuple of surfaces")
+        return draw_array(setup, body, units, view, ax)
     checks.instance("setup", setup, AbstractScene, "a Scene or an Array")
     if surface is not None:
         checks.fail("surface", "None for a Scene, which has an object", repr(surface))
