@@ -231,6 +231,7 @@ def test_derivatives_of_contacts_by_the_signals():
     np.testing.assert_allclose(jax.jacrev(place)(mz)[:, 0, 0], slope, rtol=SLOPE)
 
 
+@pytest.mark.unchecked
 @pytest.mark.parametrize(
     ("given", "named"),
     [
