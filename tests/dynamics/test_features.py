@@ -92,9 +92,9 @@ def test_gradients_of_gaps():
     arc = place[0]
     for _ in range(4):
         arc -= gap_on(posed, jnp.asarray(RIGHT), arc, place[1]).end / at(arc)
-    for piece in (RIGHT, BOTTOM):
+    for piece in map(jnp.asarray, (RIGHT, BOTTOM)):
         rate = jax.grad(lambda angle, piece=piece: gap_on(posed._replace(angle=angle), piece, arc, place[1]).distance)
-        across = gap_on(posed, jnp.asarray(piece), arc, place[1]).across
+        across = gap_on(posed, piece, arc, place[1]).across
         np.testing.assert_allclose(rate(posed.angle), across, atol=1e-5)
 
 
