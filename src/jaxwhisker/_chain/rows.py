@@ -13,6 +13,11 @@ RowsOfContacts = Float[Array, "*batch rows numbers"]  # three numbers in the pla
 Tree = TypeVar("Tree")
 
 
+def any_of_whisker(rows: Bool[Array, "*batch rows"], contacts: int) -> Bool[Array, "*batch whiskers"]:
+    """Whether something holds for any contact of each whisker."""
+    return jnp.any(jnp.reshape(rows, (*rows.shape[:-1], -1, contacts)), axis=-1)
+
+
 def with_row(tree: Tree, row: Int[Array, ""], own: Tree, contacts: int) -> Tree:
     """The rows with a new one; those of its whisker that follow it move on by one place."""
 

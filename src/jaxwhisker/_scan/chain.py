@@ -1,41 +1,36 @@
 """The mechanics of scans whose whiskers may have several contacts each, with the signals of an equilibrium."""
 
-from collections.abc import Callable
 from concurrent.futures import Executor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxwhisker._base import checks
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.slopes import by_slopes
 from jaxwhisker._base.types import Scalar
 from jaxwhisker._chain.approach import all_free
-from jaxwhisker._chain.contacts import ChainState, Places, held_of, lean_of, slack_of
+from jaxwhisker._chain.contacts import ChainState, held_of, lean_of, slack_of
 from jaxwhisker._chain.continuation import ContinuationOfChain
 from jaxwhisker._chain.implicit import after_event, sides_of_events, solved
 from jaxwhisker._chain.margins import may_turn
 from jaxwhisker._chain.newton import of_whiskers, residuals, solve_points
 from jaxwhisker._chain.polygons import corner_signs
 from jaxwhisker._chain.problem import ChainProblem, chain_problem
-from jaxwhisker._chain.rows import RowsOfContacts
+from jaxwhisker._chain.rows import RowsOfContacts, any_of_whisker
 from jaxwhisker._equilibrium.contact import FORCE, PARAMETER, Phase
 from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.canonical import canonical
-from jaxwhisker._model.scene import Scene, moves_along_x
-from jaxwhisker._path.march import follow, sweeps_of
+from jaxwhisker._model.scene import Scene
+from jaxwhisker._path.march import follow
 from jaxwhisker._path.path import Last, Node, Path, ScanPath, Status, Stops
-from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
+from jaxwhisker._scan.mechanics import EventSides, Solutions
 from jaxwhisker._scan.memory import Memory, memory_of, remembered
-from jaxwhisker._scan.plane import spring_lengths_now
+from jaxwhisker._scan.plane import InThePlane
 from jaxwhisker._scan.resolution import warn_of_steps
-from jaxwhisker._scan.result import Events, Result
 from jaxwhisker._scan.signals import beyond_phase
-from jaxwhisker._scan.slopes import memory_now
-from jaxwhisker._scan.springs import bases_of, lengths_along_x, suspension
 from jaxwhisker._scan.state import FRICTION, State
 from jaxwhisker._scan.steps import interpolate, is_near
 
@@ -59,10 +54,10 @@ def problem_now(scene: Scene) -> ChainProblem:
     return canonical_problem_now(canonical(scene), scene.contacts)
 
 
-class SeveralContacts(Mechanics):
+class SeveralContacts(InThePlane):
     """Whiskers in the plane with several contacts."""
 
-    most_numbers, block, result, events = 64, BLOCK, Result, Events
+    block, follows = BLOCK, follow_path_now
     problem = staticmethod(problem_now)
 
     @staticmethod
@@ -70,10 +65,6 @@ class SeveralContacts(Mechanics):
         if not bool(problem.valid):
             raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
         warn_of_steps(scene)
-
-    @staticmethod
-    def follow(problem: ChainProblem, stops: Any, last: Any) -> ScanPath:
-        return follow_path_now(problem, stops, last, *sweeps_of(last))
 
     @staticmethod
     def detected(scene: Scene, problem: ChainProblem, path: Path) -> Path:
@@ -85,23 +76,8 @@ class SeveralContacts(Mechanics):
         return path, jax.eval_shape(memory_of, path)
 
     @staticmethod
-    def is_ready(problem: ChainProblem, stops: int) -> bool:
-        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
-
-    @staticmethod
-    def memory(problem: ChainProblem, path: Path, stops: Any) -> Memory | None:
-        if problem.friction_angle is None or not checks.is_traced((problem, stops)):
-            return memory_of(path)
-        return memory_now(SeveralContacts, problem, path, stops)
-
-    @staticmethod
     def remember(problem: ChainProblem, path: Path, stops: Stops) -> Memory | None:
         return None if problem.friction_angle is None else remembered(after_event, problem, path, stops)
-
-    @staticmethod
-    def remembered(memory: Memory | None, path: Path | None, solutions: Solutions) -> Places | None:
-        """The places where contacts stick, fields (steps, rows)."""
-        return None if memory is None else jax.tree.map(lambda leaf: leaf[solutions.node], memory.places)
 
     @staticmethod
     def solve(problem, path, index, u, known) -> Solutions:
@@ -127,20 +103,6 @@ class SeveralContacts(Mechanics):
         return jax.vmap(one)(u, solutions.z, solutions.state.stuck_at(remembered))
 
     @staticmethod
-    def checked(problem, solutions, status):
-        return status
-
-    @staticmethod
-    def lengths(scene: Scene, state: State, displacement: None, control: Any) -> Float[Array, "steps springs"]:
-        return spring_lengths_now(suspension(scene), bases_of(scene, state), control)
-
-    @staticmethod
-    def differences(scene: Scene) -> Callable | None:
-        if not moves_along_x(scene):
-            return None
-        return lambda state, control: lengths_along_x(scene.support, np.asarray(state.base_x), np.asarray(control))
-
-    @staticmethod
     def signals(problem, *side):
         return signals(problem, *side)
 
@@ -150,9 +112,7 @@ class SeveralContacts(Mechanics):
 
     @staticmethod
     def event_nodes(problem: ChainProblem, path: Path) -> Node:
-        rows = path.nodes.whiskers
-        each = jnp.reshape(rows, (rows.shape[0], -1, problem.contacts))
-        return path.nodes._replace(whiskers=jnp.any(each, axis=2))
+        return path.nodes._replace(whiskers=any_of_whisker(path.nodes.whiskers, problem.contacts))
 
     @staticmethod
     def at_events(problem, path, memory, at, filled) -> EventSides:
@@ -163,15 +123,8 @@ class SeveralContacts(Mechanics):
     def event_controls(problem, path, memory, at, filled):
         nodes = (path if memory is None else memory.on(path)).nodes
         control, before, after = sides_of_events(problem, nodes, at, filled)
-        touched, touches = (
-            jnp.any(jnp.reshape(side.state.touches, (at.size, -1, problem.contacts)), axis=2)
-            for side in (before, after)
-        )
+        touched, touches = (any_of_whisker(side.state.touches, problem.contacts) for side in (before, after))
         return control, touched & ~touches
-
-    @staticmethod
-    def at_nodes(memory: Memory | None, at: Any) -> Any:
-        return None if memory is None else NotImplemented
 
 
 def signals(problem: ChainProblem, z: RowsOfContacts, u: Scalar, state: ChainState) -> tuple[State, Scalar, None]:

@@ -11,9 +11,12 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
+from jaxwhisker._path.march import sweeps_of
 from jaxwhisker._path.path import Path, ScanPath, Stops
 
 # Trees that only the mechanics look into: the dimensionless problem, what contacts with friction remember at the nodes
@@ -41,12 +44,13 @@ class EventSides(NamedTuple):
 
 
 class Mechanics(abc.ABC):
-    """Whiskers in the plane, or in space. All methods are static."""
+    """Whiskers in the plane, or in space. All methods are static, or of the class."""
 
     most_numbers: ClassVar[int]  # of a problem by which all slopes are computed at once
     block: ClassVar[int]  # number of steps that one program solves for
     result: ClassVar[type]
     events: ClassVar[type]
+    follows: ClassVar[Program]  # follows a path
 
     @staticmethod
     @abc.abstractmethod
@@ -58,10 +62,10 @@ class Mechanics(abc.ABC):
     def check(scene: Any, problem: AnyProblem) -> None:
         """Raise an error for values of a concrete scene that its constructors do not detect."""
 
-    @staticmethod
-    @abc.abstractmethod
-    def follow(problem: AnyProblem, stops: Any, last: Any) -> ScanPath:
+    @classmethod
+    def follow(cls, problem: AnyProblem, stops: Any, last: Any) -> ScanPath:
         """The path to all stops, given in the scene's units; right across the object if the first one is NaN."""
+        return cls.follows(problem, stops, last, *sweeps_of(last))
 
     @staticmethod
     @abc.abstractmethod
@@ -73,14 +77,14 @@ class Mechanics(abc.ABC):
     def prepare(pool: Executor, scene: Any, problem: AnyProblem, stops: int) -> tuple[Path, Memory]:
         """Compile the programs of the path in a pool. Return the shapes of the path and of what contacts remember."""
 
-    @staticmethod
-    @abc.abstractmethod
-    def is_ready(problem: AnyProblem, stops: int) -> bool:
+    @classmethod
+    def is_ready(cls, problem: AnyProblem, stops: int) -> bool:
         """Whether the program of the path is compiled, or being compiled."""
+        return cls.follows.is_ready(problem, np.zeros(stops), np.asarray(0))
 
-    @staticmethod
+    @classmethod
     @abc.abstractmethod
-    def memory(problem: AnyProblem, path: Path, stops: Any) -> Memory:
+    def memory(cls, problem: AnyProblem, path: Path, stops: Any) -> Memory:
         """What contacts remember at the nodes of a path, by a program that computes no more than is needed."""
 
     @staticmethod

@@ -70,7 +70,7 @@ spring_lengths_now = Program(spring_lengths, tangent=spring_tangents)
 class InThePlane(Mechanics):
     """Whiskers in the plane."""
 
-    most_numbers, block, result, events = 64, BLOCK, Result, Events
+    most_numbers, block, result, events, follows = 64, BLOCK, Result, Events, follow_path_now
     problem = staticmethod(problem_now)
     event_room = staticmethod(event_room)
 
@@ -78,10 +78,6 @@ class InThePlane(Mechanics):
     def check(scene: Scene, problem: Problem) -> None:
         check_valid(scene, problem)
         warn_of_steps(scene, masses=scene.gravity is not None)
-
-    @staticmethod
-    def follow(problem: Problem, stops: Any, last: Any) -> ScanPath:
-        return follow_path_now(problem, stops, last, *sweeps_of(last))
 
     @staticmethod
     def detected(scene: Scene, problem: Problem, path: Path) -> Path:
@@ -94,15 +90,11 @@ class InThePlane(Mechanics):
             detect_now.prepare(pool, problem, path, kinds)
         return path, jax.eval_shape(memory_of, path)
 
-    @staticmethod
-    def is_ready(problem: Problem, stops: int) -> bool:
-        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
-
-    @staticmethod
-    def memory(problem: Problem, path: Path, stops: Any) -> Memory | None:
+    @classmethod
+    def memory(cls, problem: Problem, path: Path, stops: Any) -> Memory | None:
         if problem.friction_angle is None or not checks.is_traced((problem, stops)):
             return memory_of(path)
-        return memory_now(InThePlane, problem, path, stops)
+        return memory_now(cls, problem, path, stops)
 
     @staticmethod
     def remember(problem: Problem, path: Path, stops: Stops) -> Memory:

@@ -18,7 +18,7 @@ from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import Point, at_control
 from jaxwhisker._model.space_scene import SpaceScene
 from jaxwhisker._model.support import Support
-from jaxwhisker._path.march import follow, sweeps_of
+from jaxwhisker._path.march import follow
 from jaxwhisker._path.path import STOP, Last, Node, Path, ScanPath, Status, Stops
 from jaxwhisker._scan.mechanics import EventSides, Mechanics, Solutions
 from jaxwhisker._scan.result import SpaceEvents, SpaceResult
@@ -81,7 +81,7 @@ class Space(Mechanics):
     """Whiskers in space."""
 
     most_numbers = 96  # a curved whisker on springs past a quadric has 82
-    block, result, events = BLOCK, SpaceResult, SpaceEvents
+    block, result, events, follows = BLOCK, SpaceResult, SpaceEvents, follow_path_now
     problem = staticmethod(problem_now)
 
     @staticmethod
@@ -90,10 +90,6 @@ class Space(Mechanics):
             check_thickness(scene)
             check_weight(scene, problem)
             raise ValueError(f"`scene` must have parameters that its constructors accept, got {scene}.")
-
-    @staticmethod
-    def follow(problem: SpaceProblem, stops: Any, last: Any) -> ScanPath:
-        return follow_path_now(problem, stops, last, *sweeps_of(last))
 
     @staticmethod
     def detected(scene: SpaceScene, problem: SpaceProblem, path: Path) -> Path:
@@ -107,13 +103,9 @@ class Space(Mechanics):
         path = follow_path_now.prepare(pool, problem, *ends).path
         return path, None if problem.friction is None else memory_now.prepare(pool, Space, problem, path, ends[0])
 
-    @staticmethod
-    def is_ready(problem: SpaceProblem, stops: int) -> bool:
-        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
-
-    @staticmethod
-    def memory(problem: SpaceProblem, path: Path, stops: Any) -> LinkedNodes | None:
-        return None if problem.friction is None else memory_now(Space, problem, path, stops)
+    @classmethod
+    def memory(cls, problem: SpaceProblem, path: Path, stops: Any) -> LinkedNodes | None:
+        return None if problem.friction is None else memory_now(cls, problem, path, stops)
 
     @staticmethod
     def remember(problem: SpaceProblem, path: Path, stops: Stops) -> LinkedNodes:

@@ -1,7 +1,6 @@
 """The mechanics of scans in space whose whiskers may have several contacts each, with the signals of an equilibrium."""
 
 from concurrent.futures import Executor
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,11 +8,11 @@ import numpy as np
 
 from jaxwhisker._base.program import Program
 from jaxwhisker._base.types import Scalar
-from jaxwhisker._chain.rows import RowsOfContacts
+from jaxwhisker._chain.rows import RowsOfContacts, any_of_whisker
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._equilibrium.point import at_control
 from jaxwhisker._model.space_scene import SpaceScene
-from jaxwhisker._path.march import follow, sweeps_of
+from jaxwhisker._path.march import follow
 from jaxwhisker._path.path import Last, Node, Path, ScanPath, Status, Stops
 from jaxwhisker._scan.mechanics import EventSides, Solutions
 from jaxwhisker._scan.signals import beyond_phase
@@ -42,17 +41,11 @@ follow_path_now = Program(follow_path, frozen=True, together=LANES)
 class SeveralContactsInSpace(Space):
     """Whiskers in space with several contacts."""
 
-    @staticmethod
-    def follow(problem: SpaceProblem, stops: Any, last: Any) -> ScanPath:
-        return follow_path_now(problem, stops, last, *sweeps_of(last))
+    follows = follow_path_now
 
     @staticmethod
     def prepare(pool: Executor, scene: SpaceScene, problem: SpaceProblem, stops: int) -> tuple[Path, None]:
         return follow_path_now.prepare(pool, problem, np.zeros(stops), np.asarray(0)).path, None
-
-    @staticmethod
-    def is_ready(problem: SpaceProblem, stops: int) -> bool:
-        return follow_path_now.is_ready(problem, np.zeros(stops), np.asarray(0))
 
     @staticmethod
     def solve(problem, path, index, u, known) -> Solutions:
@@ -92,9 +85,7 @@ class SeveralContactsInSpace(Space):
 
     @staticmethod
     def event_nodes(problem: SpaceProblem, path: Path) -> Node:
-        rows = path.nodes.whiskers
-        each = jnp.reshape(rows, (rows.shape[0], -1, problem.contacts))
-        return path.nodes._replace(whiskers=jnp.any(each, axis=2))
+        return path.nodes._replace(whiskers=any_of_whisker(path.nodes.whiskers, problem.contacts))
 
     @staticmethod
     def at_events(problem, path, memory, at, filled) -> EventSides:
@@ -103,10 +94,7 @@ class SeveralContactsInSpace(Space):
     @staticmethod
     def event_controls(problem, path, memory, at, filled):
         control, before, after = sides_of_events(problem, path.nodes, at, filled)
-        touched, touches = (
-            jnp.any(jnp.reshape(side.phase != Phase.free, (at.size, -1, problem.contacts)), axis=2)
-            for side in (before, after)
-        )
+        touched, touches = (any_of_whisker(side.phase != Phase.free, problem.contacts) for side in (before, after))
         return control, touched & ~touches
 
 
