@@ -77,7 +77,7 @@ def integrated(arcs, unloaded):
 def test_the_line_follows_the_moment_and_loses_what_it_has_passed(lines, lane, unloaded):
     ends, found = jax.tree.map(lambda leaf: np.asarray(leaf[lane]), lines)
     few = slice(None, None, 9)
-    starts = ends.arcs - found.lengths
+    starts = ends.order.at - found.lengths
     arcs = starts[:, None] + found.lengths[:, None] * POINTS[few]
     (_, _, angle), (force_x, force_y) = integrated(arcs, unloaded)
     for got, expected in zip(
@@ -86,7 +86,7 @@ def test_the_line_follows_the_moment_and_loses_what_it_has_passed(lines, lane, u
         strict=True,
     ):
         np.testing.assert_allclose(got[:, few].ravel(), expected, atol=EXACT)
-    (x, y, angle), _ = integrated(ends.arcs, unloaded)
+    (x, y, angle), _ = integrated(ends.order.at, unloaded)
     np.testing.assert_allclose(found.ends, [x, y, np.cos(angle), np.sin(angle)], atol=EXACT)
     assert np.all(found.stiffness == STIFFNESS)
 
@@ -95,9 +95,9 @@ def test_elements_end_at_loads_breaks_the_contact_and_the_tip(lines):
     ends, found = jax.tree.map(np.asarray, lines)
     split = [(PLACE + LENGTH) / 2, ARC]  # a free whisker is split anywhere
     for k, at in enumerate(split):
-        np.testing.assert_allclose(ends.arcs[k], sorted([PLACE, at, LENGTH, *BREAKS]), rtol=1e-14)
-        assert ends.arcs[k][ends.contact[k]] == at and found.contact[k] == ends.contact[k]
-        assert ends.arcs[k][ends.order.ranks[LOADS][k]] == [PLACE]
+        np.testing.assert_allclose(ends.order.at[k], sorted([PLACE, at, LENGTH, *BREAKS]), rtol=1e-14)
+        assert ends.order.at[k][ends.contact[k]] == at and found.contact[k] == ends.contact[k]
+        assert ends.order.at[k][ends.order.ranks[LOADS][k]] == [PLACE]
 
 
 def test_a_reaction_that_is_not_known_spoils_its_own_line(lines):
