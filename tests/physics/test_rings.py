@@ -108,6 +108,36 @@ def test_derivatives_by_a_ring_are_those_of_differences():
     np.testing.assert_allclose(jnp.sum(backwards * way), jnp.sum(forwards), rtol=1e-9)
 
 
+SNAPS = {  # a ring, and what follows from the loss of stability
+    "a contact pulls, and a second one pushes": (
+        jw.Torus(0.545, 0.118, (0.0, 0.857, 0.209), (0.929, 0.345, -0.137)),
+        ["touch", "snap_through", "release"],
+    ),
+    "a step beyond an unstable equilibrium, to another contact": (
+        jw.Torus(0.584, 0.064, (0.0, 0.95, -0.161), (-0.28, 0.113, -0.953)),
+        ["touch", "touch", "release", "snap_through", "release"],
+    ),
+    "the same, and the whisker comes free": (
+        jw.Torus(0.293, 0.062, (0.0, 0.836, 0.151), (0.544, -0.626, -0.559)),
+        ["touch", "touch", "release", "snap_off"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SNAPS)
+def test_whiskers_that_lose_their_stability_at_a_ring_come_to_rest(name):
+    """Contacts slid back, or were held to the ring although another one pushed, and scans ended `unsettled`."""
+    body, kinds = SNAPS[name]
+    result = jw.scan(jw.Scene(jw.Whisker(), body, contacts=2), np.linspace(0.6, -0.9, 31))
+    assert np.all(np.asarray(result.status) == jw.Status.ok)
+    found = events_of(result)
+    assert [kind.name for kind, _ in found] == kinds
+    snap = next(u for kind, u in found if kind.name.startswith("snap"))
+    for step in map(int, np.flatnonzero((np.asarray(result.control) < snap) & (touching(result) > 0))):
+        violations = pegs.violations(result, step)
+        assert max(violations.values()) < SOLVED, (step, violations)
+
+
 class Hanging(eqx.Module):
     """A wave that is the same for all z, as a level."""
 

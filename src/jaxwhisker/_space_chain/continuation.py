@@ -93,7 +93,7 @@ class ContinuationOfChainInSpace(ContinuationInSpace):
             direction=direction,
             travel=pending.travel,
             touched=jnp.asarray(False),
-            flow=FlowOfChainInSpace(jnp.asarray(FIRST_TIME), zero, z, good, nobody, z, phase),
+            flow=FlowOfChainInSpace(jnp.asarray(FIRST_TIME), zero, z, z[:, POINT], good, nobody, z, phase),
             slip=None,
             sunk=None,
             count=zero,

@@ -34,6 +34,7 @@ from jaxwhisker._space_chain.newton import PhasesOfRows, of_whiskers, outermost
 INSIDE = 1e-6  # lengths: depth of free whiskers that must not be inside an object
 SHALLOW = 1e-3  # lengths: depth of a shaft in an object at which a contact begins in a flow
 TOUCHING = 1e-8  # lengths: depth that counts as a touch
+RETURNING = 1e-5  # lengths: contacts that slide back by less may do so because of rounding errors
 
 
 def sliding(march: MarchInSpace, kick: Scalar = KICK) -> MarchInSpace:
@@ -43,6 +44,7 @@ def sliding(march: MarchInSpace, kick: Scalar = KICK) -> MarchInSpace:
         jnp.asarray(FIRST_TIME),
         jnp.asarray(0),
         z,
+        jnp.zeros_like(z[:, POINT]),
         jnp.asarray(True),
         nobody,
         z,
@@ -63,12 +65,17 @@ def flow_onwards(
     z, before, time, contacts = trial.point.z, march.point.z, march.flow.time, problem.contacts
     phase = trial.phase
     touching = phase != Phase.free
-    moved = jnp.max(jnp.where(touching[:, None], jnp.abs(z - before)[:, POINT], 0.0))
+    way = jnp.where(touching[:, None], (z - before)[:, POINT], 0.0)
+    moved = jnp.max(jnp.abs(way))
+    # Near an unstable equilibrium, an implicit step that is too long ends on its other side.
+    returns = (jnp.sum(way * march.flow.way) < 0) & (moved > RETURNING)
     gap = jnp.min(trial.stance.candidates.distance)
     touches = gap < -TOUCHING
-    good = trial.converged & (moved < STRIDE) & (gap > -SHALLOW)
+    good = trial.converged & (moved < STRIDE) & (gap > -SHALLOW) & ~returns
     negative = touching & (z[:, FORCE] < 0)
-    pulled = negative & ~march.flow.clings
+    # A contact that is held to the surface is not needed any more as soon as its whisker has another one.
+    alone = jnp.sum(of_whiskers(problem, touching), axis=1) == 1
+    pulled = negative & ~(march.flow.clings & jnp.repeat(alone, contacts))
     first_pulled = pulled & (jnp.cumsum(pulled) == 1)
     pulls = good & jnp.any(pulled)
     begins = good & touches & ~pulls
@@ -81,7 +88,12 @@ def flow_onwards(
     growth = jnp.where(moved < STRIDE / 1000, 10.0, jnp.where(moved < STRIDE / 3, 3.0, 1.0))
     longer = jnp.where(begins | pulls, time, jnp.minimum(growth * time, LONGEST_TIME))
     opens = march.flow.opens & (trial.stance.opens | ~good)
-    flow = march.flow._replace(time=jnp.where(good, longer, time / 4), steps=march.flow.steps + 1, opens=opens)
+    flow = march.flow._replace(
+        time=jnp.where(good, longer, time / 4),
+        steps=march.flow.steps + 1,
+        way=jnp.where(good & ~begins & ~pulls, way, jnp.where(good, 0.0, march.flow.way)),
+        opens=opens,
+    )
     # Nearly straight whiskers may be unable to reach where the kick has put their contacts.
     at_first = march.flow.time == FIRST_TIME * 0.25**march.flow.steps
     nearer = Point((before + march.flow.start) / 2, march.point.u)
@@ -93,7 +105,9 @@ def flow_onwards(
     landing = march.replace(
         state=march.state._replace(phase=jnp.where(landed, march.flow.last_phase, march.phase)),
         point=march.point._replace(z=jnp.where(landed[:, None], march.flow.last, before)),
-        flow=march.flow._replace(steps=march.flow.steps + 1, clings=march.flow.clings | landed),
+        flow=march.flow._replace(
+            steps=march.flow.steps + 1, way=jnp.zeros_like(way), clings=march.flow.clings | landed
+        ),
     )
     still = (moved < REST) & (time >= LONGEST_TIME / 4)
     rests = good & ~pulls & ~begins & (still | ~jnp.any(touching))

@@ -27,6 +27,7 @@ class FlowOfChainInSpace(NamedTuple):
     time: Scalar  # length of the next time step
     steps: Int[Array, ""]
     start: RowsOfContacts  # at the loss
+    way: Float[Array, "rows 3"]  # of the contacts in the last time step; zero where they have changed since
     opens: Bool[Array, ""]  # whether no contact has split on the way
     clings: Bool[Array, " rows"]  # not to come free: the unloaded shape is inside an object
     last: RowsOfContacts  # of a whisker that has come free, just before
