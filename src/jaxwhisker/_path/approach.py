@@ -5,7 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxwhisker._equilibrium.contact import Phase
 from jaxwhisker._path.continuation import Limits
-from jaxwhisker._path.path import Path, Status
+from jaxwhisker._path.path import Path, Status, select
 
 MARGIN = 0.01  # of the default control before the first touch and after the last release, dimensionless
 
@@ -30,7 +30,9 @@ def crop(
     last = jnp.minimum(last, onwards * limits.far)
     start, stop = onwards * first, onwards * last
     travel = nodes.travel - jnp.where(whole, jnp.abs(start - limits.start), 0.0)
-    lost = whole & ~jnp.asarray(limits.known)
-    start, stop = (jnp.where(lost, jnp.nan, control) for control in (start, stop))
-    count, status = jnp.where(lost, 0, path.count), jnp.where(lost, Status.lost, path.status)
-    return Path(nodes._replace(travel=travel), count, status), start, stop
+    path = path._replace(nodes=nodes._replace(travel=travel))
+    if limits.known is not True:
+        none = path._replace(count=jnp.asarray(0), status=jnp.asarray(int(Status.lost)))
+        nowhere = jnp.asarray(jnp.nan)
+        path, start, stop = select(whole & ~limits.known, (none, nowhere, nowhere), (path, start, stop))
+    return path, start, stop

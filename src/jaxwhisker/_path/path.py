@@ -101,8 +101,16 @@ class ScanPath(NamedTuple):
 
 def select(condition, yes, no):
     """Select one of two trees of the same structure by a condition."""
-    # Leaves that both trees share need no selection: most decisions of a march change few leaves.
-    return jax.tree.map(lambda a, b: a if a is b else jnp.where(condition, a, b), yes, no)
+
+    def one(a: Any, b: Any) -> Any:
+        # Leaves that both trees share need no selection: most decisions of a march change few leaves.
+        if a is b:
+            return a
+        alike = jnp.shape(condition) == () and jnp.shape(a) == jnp.shape(b) and jnp.result_type(a) == jnp.result_type(b)
+        # For a single condition, this is one operation where jnp.where needs three.
+        return jax.lax.select(condition, *map(jnp.asarray, (a, b))) if alike else jnp.where(condition, a, b)
+
+    return jax.tree.map(one, yes, no)
 
 
 def first_case(*cases, otherwise):
