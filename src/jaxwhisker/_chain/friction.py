@@ -151,7 +151,7 @@ def changed_slips(
     state, limit = march.state, problem.friction_angle
     held, leans = held_of(problem.profile, state), lean_of(problem.profile, limit, point.z, state)
     assert state.friction is not None and limit is not None and leans is not None
-    motion = LeavingContacts(
+    contacts = LeavingContacts(
         slip=state.friction.slip,
         force=point.z[:, FORCE],
         lean=leans,
@@ -161,7 +161,7 @@ def changed_slips(
         slips_either_way=state.touches & ~held.pinned,
         light=is_light(problem, state, march.point.z),
     )
-    return corrected_slips(motion, limit, falls, march.slips_tried, march.rests)
+    return corrected_slips(contacts, limit, falls, march.slips_tried, march.rests)
 
 
 def with_changed_slips(

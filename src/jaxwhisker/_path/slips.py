@@ -39,25 +39,25 @@ class LeavingContacts(NamedTuple):
 
 
 def corrected_slips(
-    motion: LeavingContacts, limit: Scalar, falls: Truths, tried: Int[Array, ""], rests: Truths
+    contacts: LeavingContacts, limit: Scalar, falls: Bool[Array, ""], tried: Int[Array, ""], rests: Truths
 ) -> tuple[Bool[Array, ""], Int[Array, " contacts"]]:
     """Whether a contact breaks a law of friction, and the slips after the first such contact is changed.
 
     Args:
-        motion: of all contacts.
+        contacts: all contacts.
         limit: the angle of friction.
-        falls: whether the force of a contact falls along the path.
-        tried: number of slips that have been tried at this event.
+        falls: whether the path cannot go on without a snap.
+        tried: how often slips have been changed at this event.
         rests: whether the slip of a contact has come to rest here, so that its lean does not change at first.
     """
-    slip, leans = motion.slip, motion.lean
+    slip, leans = contacts.slip, contacts.lean
     # A contact that has just begun may slip either way or, if neither presses on, stick.
-    unloaded = (slip != 0) & (motion.force <= LIGHT)
-    backwards = (motion.slip_rate < -RATE_NOISE) | (motion.slips_either_way & unloaded & falls & (limit > 0))
-    exceeds = (jnp.abs(leans) > limit - RATE_NOISE) & (jnp.sign(leans) * motion.lean_rate > RATE_NOISE)
+    unloaded = (slip != 0) & (contacts.force <= LIGHT)
+    backwards = (contacts.slip_rate < -RATE_NOISE) | (contacts.slips_either_way & unloaded & falls & (limit > 0))
+    exceeds = (jnp.abs(leans) > limit - RATE_NOISE) & (jnp.sign(leans) * contacts.lean_rate > RATE_NOISE)
     # A contact that sticks from its first touch may have a lean that no friction allows.
     beyond = jnp.abs(leans) >= limit + LEAN_NOISE
-    exceeds = motion.sticks & ~rests & (exceeds | (beyond & motion.light))
+    exceeds = contacts.sticks & ~rests & (exceeds | (beyond & contacts.light))
     can_stick = (~unloaded | (tried > 0)) & (limit > 0)
     changed = jnp.where(exceeds, jnp.sign(leans).astype(int), jnp.where(can_stick, 0, -slip))
     wrong = backwards | exceeds

@@ -38,7 +38,7 @@ def changed_slips(
     """Whether a contact breaks a law of friction along the tangent, and the slips after the first one is changed."""
     state, limit = march.state, problem.friction_angle
     assert limit is not None and march.slips_tried is not None and march.rests is not None
-    motion = LeavingContacts(
+    contacts = LeavingContacts(
         slip=state.slip,
         force=point.z[:, FORCE],
         lean=point.z[:, LEAN],
@@ -48,7 +48,7 @@ def changed_slips(
         slips_either_way=state.touches,
         light=is_light(state, march.point.z),
     )
-    return corrected_slips(motion, limit, falls, march.slips_tried, march.rests)
+    return corrected_slips(contacts, limit, falls, march.slips_tried, march.rests)
 
 
 def with_changed_slips(
